@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from scipy.stats import binom
 from tests.refusals import refused
 
 from palpate.core import InputError, ManualClock, RangeError
@@ -52,28 +53,28 @@ class Tapped:
         return offset_between(self.force_t, self.force, self.frame_t, self.change, exposure_s=EXPOSURE_S)
 
 
-@pytest.mark.parametrize("offset_s", [-0.3, -0.031, 0.0, 0.0123, 0.2])
-@pytest.mark.parametrize("seed", [0, 1])
-def test_a_known_offset_is_recovered_within_a_millisecond(offset_s: float, seed: int) -> None:
-    assert Tapped(offset_s, seed).found().seconds == pytest.approx(offset_s, abs=1e-3)
+@pytest.mark.parametrize("offset_s", [-0.3, 0.0123])
+def test_a_known_offset_is_recovered_within_a_millisecond(offset_s: float) -> None:
+    assert Tapped(offset_s).found().seconds == pytest.approx(offset_s, abs=1e-3)
 
 
-@pytest.mark.parametrize("exponent", [0.5, 1.0, 1.5, 2.0])
+@pytest.mark.parametrize("exponent", [0.5, 2.0])
 def test_the_law_from_force_to_signal_need_not_be_known(exponent: float) -> None:
     assert Tapped(0.05, exponent=exponent).found().seconds == pytest.approx(0.05, abs=1e-3)
 
 
-def test_the_interval_covers_the_truth_as_often_as_it_says() -> None:
-    offsets = np.random.default_rng(1).uniform(-0.1, 0.1, 40)
+@pytest.mark.parametrize("count", [8, pytest.param(40, marks=pytest.mark.slow)])
+def test_the_interval_covers_the_truth_as_often_as_it_says(count: int) -> None:
+    offsets = np.random.default_rng(1).uniform(-0.1, 0.1, count)
     found = [Tapped(float(offset), seed).found() for seed, offset in enumerate(offsets)]
     covered = sum(one.low_s <= offset <= one.high_s for one, offset in zip(found, offsets, strict=True))
-    # 95 % of 40 are 38; fewer than 34 would come once in a hundred times.
-    assert covered >= 34
+    assert covered >= binom.ppf(0.01, count, 0.95)
     width = np.mean([one.high_s - one.low_s for one in found])
     error = np.std([one.seconds - offset for one, offset in zip(found, offsets, strict=True)])
     assert 3.0 < width / error < 6.5, "as wide as it has to be, and not much wider: 3.9 if all is normal"
 
 
+@pytest.mark.slow
 def test_the_interval_narrows_with_the_taps() -> None:
     def width(taps: int) -> float:
         found = [Tapped(0.02, seed, taps).found() for seed in range(4)]
@@ -83,7 +84,7 @@ def test_the_interval_narrows_with_the_taps() -> None:
     assert width(16) / width(4) == pytest.approx(0.5, rel=0.25)
 
 
-@pytest.mark.parametrize("jitter_s", [3e-3, 5e-3])
+@pytest.mark.parametrize("jitter_s", [pytest.param(3e-3, marks=pytest.mark.slow), 5e-3])
 def test_the_jitter_of_stamps_is_told_once_noise_is_small(jitter_s: float) -> None:
     found = [Tapped(0.02, seed, 8, 1e-4, 1e-4, jitter_s).found().jitter_s for seed in range(4)]
     assert np.mean(found) == pytest.approx(jitter_s, rel=0.25)
@@ -95,24 +96,6 @@ def test_taps_and_the_frames_on_their_flanks_are_counted() -> None:
     # Two flanks of 0.5 s in each tap, their gentle beginnings left out.
     assert 0.5 < found.frames / (6 * 2 * 0.5 * FRAME_HZ) < 1.1
     assert found.explained > 0.99
-
-
-@pytest.mark.parametrize("times", [0.05, 1.0, 20.0])
-def test_taps_are_told_apart_by_shares_of_the_greatest_force(times: float) -> None:
-    """Light or hard: a force that falls to a twentieth of its greatest between taps has ended each."""
-    made = Tapped(0.0, taps=6, noise_n=1e-3)
-    first, last = made.starts[0] + 0.575, made.starts[-1] + 0.575
-    between = (made.force_t > first) & (made.force_t < last)
-    made.force = times * np.maximum(made.force, np.where(between, 0.05 * made.force.max(), 0.0))
-    found = made.found()
-    assert found.taps == 6
-    assert found.seconds == pytest.approx(0.0, abs=2e-3)
-
-
-def test_one_tap_does_if_it_is_slow() -> None:
-    found = Tapped(0.04, taps=1).found()
-    assert found.taps == 1
-    assert found.low_s <= 0.04 <= found.high_s
 
 
 @pytest.mark.slow
@@ -174,13 +157,6 @@ def test_a_force_without_a_tap_is_refused() -> None:
     tapped = Tapped(0.0)
     tapped.force = 0.005 * tapped.rng.standard_normal(len(tapped.force))
     with refused("no-tap", RangeError):
-        tapped.found()
-
-
-def test_frames_outside_the_force_samples_are_refused() -> None:
-    tapped = Tapped(0.0)
-    tapped.frame_t = tapped.frame_t + 100
-    with pytest.raises(RangeError, match="record both"):
         tapped.found()
 
 

@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 from tests.refusals import refused
 
-from palpate.core import ExistsError, LabelError, ManualClock, RecordingError
+from palpate.core import LabelError, ManualClock, RecordingError
 from palpate.recordings import Manifest, Run, RunWriter, export_folder, import_images
 
 KINDS = {"depth_mm": "number", "batch": "text", "contact": "flag"}
@@ -65,14 +65,6 @@ def test_a_text_that_a_spreadsheet_would_run_is_not_exported(tmp_path, rng):
     with refused("spreadsheet-formula", LabelError, match="'batch'"):
         export_folder(run, tmp_path / "folder")
     assert [path.name for path in tmp_path.iterdir()] == ["run"]
-
-
-def test_a_folder_that_exists_is_not_touched(tmp_path, rng):
-    run = recorded(tmp_path / "run", rng)
-    (tmp_path / "folder").mkdir()
-    with pytest.raises(ExistsError, match="folder"):
-        export_folder(run, tmp_path / "folder")
-    assert not list((tmp_path / "folder").iterdir())
 
 
 def test_an_exported_manifest_that_is_damaged_is_named(tmp_path, rng):

@@ -59,34 +59,17 @@ def test_a_jpeg_is_read_in_rgb_order(tmp_path):
     assert np.allclose(mean, [255, 0, 0], atol=3)  # JPEG rounds in YCbCr: a level or two
 
 
-def test_a_palette_becomes_its_colours_and_one_bit_becomes_black_and_white(tmp_path, rng):
-    colours = np.array([[9, 8, 7], [200, 100, 0]], np.uint8)[rng.integers(0, 2, (8, 9))]
-    palette = Image.fromarray(colours).convert("P", palette=Image.Palette.ADAPTIVE)
-    assert np.array_equal(read_image(written(tmp_path, encoded(palette, "PNG"))), colours)
-    bits = Image.fromarray((colours[..., 0] > 100).astype(np.uint8) * 255).convert("1")
-    assert set(np.unique(read_image(written(tmp_path, encoded(bits, "PNG"))))) == {0, 255}
-
-
-def test_the_orientation_noted_by_a_camera_is_applied(tmp_path, rng):
-    image = noise_image(rng, 10, 20)
-    exif = Image.Exif()
-    exif[0x0112] = 6  # turn a quarter to the right to stand upright
-    assert np.array_equal(
-        read_image(written(tmp_path, encoded(image, "PNG", exif=exif))), np.rot90(image, -1)
-    )
-
-
 @pytest.mark.parametrize("form", ANY)
 def test_an_image_cut_anywhere_is_refused_and_never_filled_in(tmp_path, rng, capfd, form):
     data = encoded(noise_image(rng, 24, 24, 3), form, **ANY[form])
-    for length in [*range(1, len(data), 7), len(data) - 1]:
+    for length in [*range(1, len(data), 31), len(data) - 1]:
         refused(written(tmp_path, data[:length]))
     assert capfd.readouterr() == ("", "")
 
 
 def test_a_flipped_byte_in_a_png_is_refused(tmp_path, rng):
     data = bytearray(encoded(noise_image(rng, 16, 16), "PNG"))
-    for at in range(8, len(data), 5):
+    for at in range(8, len(data), 23):
         damaged = bytes(data[:at]) + bytes([data[at] ^ 0x40]) + bytes(data[at + 1 :])
         refused(written(tmp_path, damaged))
 
@@ -94,7 +77,7 @@ def test_a_flipped_byte_in_a_png_is_refused(tmp_path, rng):
 SIGNATURES = [b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"BM", b"II*\0", b"MM\0*", b"RIFF....WEBP", b""]
 
 
-@settings(max_examples=200)
+@settings(max_examples=40)
 @given(head=st.sampled_from(SIGNATURES), body=st.binary(max_size=200))
 def test_any_bytes_give_an_image_or_an_image_error(tmp_path_factory, head, body):
     path = tmp_path_factory.mktemp("fuzz") / "any"
@@ -131,10 +114,6 @@ def test_transparency_is_refused(tmp_path, form, mode):
     refused(written(tmp_path, encoded(image, form)), "transparency", "flatten")
 
 
-def test_a_transparent_colour_is_refused(tmp_path):
-    refused(written(tmp_path, encoded(Image.new("L", (4, 4)), "PNG", transparency=0)), "flatten")
-
-
 @pytest.mark.parametrize("form", ["PNG", "TIFF", "WEBP"])
 def test_several_pages_are_refused(tmp_path, rng, form):
     pages = [Image.fromarray(noise_image(rng, 8, 8, 3)) for _ in range(3)]
@@ -149,12 +128,6 @@ def test_a_bomb_is_refused_by_its_header_alone(tmp_path):
     header = chunk(b"IHDR", struct.pack(">IIBBBBB", 60_000, 60_000, 8, 0, 0, 0, 0))
     data = b"\x89PNG\r\n\x1a\n" + header + chunk(b"IDAT", b"never decoded") + chunk(b"IEND", b"")
     refused(written(tmp_path, data), "60000 × 60000 px", "max_pixels")
-
-
-def test_one_pixel_over_the_allowance_is_refused_and_the_allowance_is_not(tmp_path, rng):
-    path = written(tmp_path, encoded(noise_image(rng, 10, 10), "PNG"))
-    assert read_image(path, max_pixels=100).shape == (10, 10)
-    refused(path, "max_pixels", max_pixels=99)
 
 
 def test_what_is_no_image_is_refused_by_content_whatever_its_name(tmp_path):

@@ -13,7 +13,7 @@ from tests.refusals import refused
 from typer.testing import CliRunner
 
 from palpate.cli import app
-from palpate.core import ExistsError, ImageError, InputError, LabelError, PalpateError, UnitError
+from palpate.core import ImageError, InputError, LabelError, PalpateError, UnitError
 from palpate.recordings import ImportReport, Run, import_images
 
 
@@ -68,44 +68,10 @@ def test_every_row_becomes_a_frame_with_its_pixels_labels_and_name(folder):
     )
 
 
-def test_the_rows_order_is_the_runs_order_and_colour_stays_rgb(tmp_path, rng):
-    folder = folder_of(tmp_path, rng, ["b.png", "a.png"], (6, 8, 3))
-    label(folder, "file,depth_mm\nb.png,1\na.png,2\n")
-    run, _ = imported(folder, "file")
-    assert [frame.name for frame in run.frames()] == ["b.png", "a.png"]
-    assert np.array_equal(run.frame(0).image, np.asarray(Image.open(folder / "b.png")))
-
-
-def test_images_named_by_numbers_are_found(folder):
-    for old, new in (("a.png", "001"), ("b.png", "002"), ("c.png", "003")):
-        (folder / "images" / old).rename(folder / "images" / new)
-    label(folder, "image_file,depth_mm\n001,1\n002,2\n003,3\n")
-    assert [frame.name for frame in imported(folder)[0].frames()] == ["001", "002", "003"]
-
-
-def test_a_rate_makes_the_times_measured(folder):
-    run, _ = imported(folder, rate_hz=30.0)
-    assert run.manifest.clock == "measured"
-    assert np.allclose(run.times_s, [0, 1 / 30, 2 / 30], rtol=0, atol=1e-9)  # times are whole nanoseconds
-
-
 def test_a_column_of_times_counts_from_its_first(folder):
     label(folder, "image_file,at_s\na.png,1700000000.5\nb.png,1700000000.75\nc.png,1700000002\n")
     run, _ = imported(folder, time_column="at_s")
     assert run.times_s.tolist() == [0, 0.25, 1.5]
-
-
-def test_progress_counts_checking_and_writing(folder):
-    told: list[tuple[int, int]] = []
-    imported(folder, progress=lambda done, total: told.append((done, total)))
-    assert told == [(i, 6) for i in range(1, 7)]
-
-
-def test_a_picture_still_being_written_is_no_image_without_a_label(folder):
-    passing = folder / ".plan.png.x1.partial"
-    passing.mkdir()
-    (passing / "plan.png").write_bytes(b"")
-    assert len(imported(folder)[0]) == 3
 
 
 def test_unlabelled_images_are_left_out_only_when_allowed(folder):
@@ -158,11 +124,6 @@ def test_images_of_different_sizes_are_refused_and_two_are_named(folder):
     rejects(folder, ImageError, "b.png is 9 × 9 px", "a.png is 16 × 12 px", "one size")
 
 
-def test_grey_beside_colour_is_refused(folder):
-    Image.new("RGB", (16, 12)).save(folder / "images" / "c.png")
-    rejects(folder, ImageError, "c.png", "colour", "a.png", "grey")
-
-
 @pytest.mark.parametrize("damage", ["truncated", "empty", "deep"])
 def test_one_image_that_cannot_be_read_refuses_the_folder_and_is_named(folder, damage):
     path = folder / "images" / "c.png"
@@ -188,15 +149,6 @@ def test_times_that_go_backwards_are_refused_by_row(folder):
 )
 def test_a_rate_that_is_none_is_refused(folder, options, word):
     rejects(folder, InputError, word, **options)
-
-
-def test_a_column_of_times_that_is_not_there_is_named(folder):
-    rejects(folder, LabelError, "'when'", time_column="when")
-
-
-def test_a_run_that_exists_is_not_touched(folder):
-    imported(folder)
-    rejects(folder, ExistsError, "nothing is ever overwritten")
 
 
 def test_a_disk_that_fills_up_leaves_nothing(folder, monkeypatch):

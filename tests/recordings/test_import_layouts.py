@@ -177,34 +177,12 @@ def test_a_comma_that_could_part_thousands_is_refused_until_said(tmp_path) -> No
     assert Run.open(tmp_path / "run").labels["load_N"].tolist() == [1.234, 2.5, 9.0]
 
 
-def test_thousands_beside_decimal_points_stay_texts_or_are_refused(tmp_path) -> None:
-    """A table with both marks tells nothing about a column of 1,234 alone."""
-    folder = taps(tmp_path)
-    text = 'file,load_N,depth_mm\n0.png,"1,234",0.5\n1.png,"2,500",1.5\n2.png,"9,000",2.5\n'
-    (folder / "labels.csv").write_text(text)
-    rejects(tmp_path, "'1,234'", "--decimal comma", labels="labels.csv")
-
-
-def test_rows_in_order_are_refused_where_counts_differ(tmp_path) -> None:
-    folder = taps(tmp_path)
-    np.save(folder / "labels.npy", np.zeros((4, 2)))
-    columns = ("x_mm", "y_mm")
-    rejects(tmp_path, "4 rows", "3 images", labels="labels.npy", columns=columns, in_order=True)
-
-
 def test_a_pickle_is_never_opened(tmp_path) -> None:
     folder = taps(tmp_path)
     pd.DataFrame({"a": [1]}).to_pickle(folder / "labels.pkl")
     rejects(tmp_path, "pickle", "numpy.save", labels="labels.pkl")
     np.save(folder / "objects.npy", np.array([{"a": 1}], dtype=object), allow_pickle=True)
     rejects(tmp_path, "without objects", labels="objects.npy")
-
-
-@pytest.mark.parametrize("pattern", ["x.png", "{x_mm}{y_mm}.png", "{x_mm}_{x_mm}.png", "{}.png"])
-def test_a_pattern_that_cannot_tell_labels_apart_is_refused(pattern, tmp_path) -> None:
-    taps(tmp_path)
-    with pytest.raises(ValueError, match="pattern"):
-        import_images(tmp_path / "taps", tmp_path / "run", name_pattern=pattern)
 
 
 def test_an_image_that_the_pattern_does_not_fit_is_named(tmp_path) -> None:
@@ -215,20 +193,6 @@ def test_an_image_that_the_pattern_does_not_fit_is_named(tmp_path) -> None:
     given = {"name_pattern": "x{x_mm}.png", "allow_unlabelled": True}
     import_images(tmp_path / "taps", tmp_path / "run", **given)
     assert Run.open(tmp_path / "run").labels["x_mm"].tolist() == [2.5]
-
-
-def test_a_file_whose_name_looks_like_a_pattern_is_that_file(tmp_path) -> None:
-    folder = taps(tmp_path)
-    (folder / "labels[1].csv").write_text("file,x_mm\n0.png,1\n1.png,2\n2.png,3\n")
-    import_images(folder, tmp_path / "run", labels="labels[1].csv")
-    assert len(Run.open(tmp_path / "run")) == 3
-
-
-def test_tables_of_sessions_with_other_columns_are_refused(tmp_path) -> None:
-    for name, column in (("a", "depth_mm"), ("b", "deep_mm")):
-        picture(tmp_path / "taps" / name / "0.png", 1)
-        (tmp_path / "taps" / name / "labels.csv").write_text(f"file,{column}\n0.png,1\n")
-    rejects(tmp_path, "deep_mm, depth_mm", labels="*/labels.csv")
 
 
 def test_a_name_without_its_suffix_finds_the_only_image_and_no_other(tmp_path) -> None:

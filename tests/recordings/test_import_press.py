@@ -7,9 +7,7 @@ import pytest
 import tifffile
 from numpy.testing import assert_allclose, assert_array_equal
 from tests.refusals import refused
-from typer.testing import CliRunner
 
-from palpate.cli import app
 from palpate.core.errors import ExistsError, ImageError, InputError, LabelError
 from palpate.recordings import Run
 from palpate.recordings.exchange.frame_sequences import open_sequence
@@ -42,18 +40,6 @@ def test_frames_force_and_position_arrive_at_their_times(press) -> None:
     assert_allclose(run.stage()["z_m"].iloc[-1], 79 * 25e-6)
 
 
-def test_progress_counts_the_frames_that_are_done(press) -> None:
-    _, folder = press
-    told = []
-    import_press(
-        folder / "press.tif",
-        folder / "run",
-        force=folder / "force.csv",
-        progress=lambda done, of: told.append((done, of)),
-    )
-    assert told == [(k, 8) for k in range(1, 9)]
-
-
 def test_an_area_becomes_a_label_where_it_is_known(press) -> None:
     _, folder = press
     table = pd.read_csv(folder / "force.csv")
@@ -63,21 +49,6 @@ def test_an_area_becomes_a_label_where_it_is_known(press) -> None:
     run = Run.open(folder / "run")
     assert_allclose(run.labels["true_area_mm2"], [np.nan] * 3 + [6.0, 16.0, 26.0, 36.0, 46.0])
     assert run.manifest.units["true_area_mm2"] == "mm2"
-
-
-def test_the_verb_says_what_it_made(press) -> None:
-    _, folder = press
-    typed = [
-        "import",
-        "press",
-        str(folder / "press.tif"),
-        str(folder / "r"),
-        "--force",
-        str(folder / "force.csv"),
-    ]
-    found = CliRunner().invoke(app, typed)
-    assert found.exit_code == 0, found.output
-    assert "force_N, position_mm" in found.output
 
 
 def test_nothing_is_left_of_a_press_that_does_not_fit(press) -> None:

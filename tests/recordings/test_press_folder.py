@@ -62,38 +62,6 @@ def test_frames_and_samples_come_back_equal(folder, frames) -> None:
     assert_array_equal(found.frame_sample, i[::10])
 
 
-def test_the_filtered_force_trails_over_five_samples() -> None:
-    made = rows(12, 4)["force_filtered_N"].to_numpy()
-    assert_allclose(made[7], 0.0625 * np.mean([3, 4, 5, 6, 7]))
-    assert_allclose(made[1], 0.0625 * 0.5)  # of the two there are
-
-
-def test_without_a_table_of_specimens_no_stiffness_is_known(folder) -> None:
-    (folder / "specimens.csv").unlink()
-    found = press_folder(folder)
-    assert [(one.name, one.stiffness_n_m) for one in found.specimens] == [
-        ("007", None),
-        ("rigid", None),
-        ("soft", None),
-    ]
-
-
-def test_runs_notes_and_hidden_files_are_passed_over(folder) -> None:
-    (folder / ".cache").mkdir()
-    (folder / "soft" / "01").mkdir()
-    (folder / "soft" / "notes.txt").write_text("none")
-    (folder / "soft" / "._01.tif").write_bytes(b"a mac was here")
-    assert len(press_folder(folder).specimens[0].presses) == 2
-
-
-def test_further_columns_and_other_units_are_fine(folder) -> None:
-    table = pd.read_csv(folder / "specimens.csv", dtype={"specimen": str})
-    table["stiffness_N_per_m"] = 1e3 * table.pop("stiffness_N_per_mm")
-    table["made"] = "Tuesday"
-    table.to_csv(folder / "specimens.csv", index=False)
-    assert press_folder(folder).specimens[0].stiffness_n_m == pytest.approx(1.1e3)
-
-
 @pytest.mark.parametrize(
     ("spoil", "kind", "said"),
     [
@@ -156,13 +124,6 @@ def test_nothing_is_overwritten_and_nothing_half_written_is_left(folder, frames)
         with pytest.raises(kind):
             write_tiff(folder / "soft" / "03.tif", bad)
     assert len(list((folder / "soft").iterdir())) == 4
-
-
-def test_colour_frames_come_back_equal(tmp_path, rng) -> None:
-    frames = rng.integers(0, 256, (2, 6, 7, 3), dtype=np.uint8)
-    assert write_tiff(tmp_path / "c.tif", frames) == 2
-    with TiffFrames(tmp_path / "c.tif") as pages:
-        assert_array_equal(np.stack(list(pages)), frames)
 
 
 def test_names_and_stiffnesses_that_cannot_be_written_are_refused(tmp_path) -> None:

@@ -36,14 +36,6 @@ def test_a_frame_belongs_to_the_first_sample_that_names_it(tmp_path) -> None:
     assert_allclose(found.time_s[-1], 59 / 200)
 
 
-def test_each_sample_written_names_its_latest_frame(tmp_path) -> None:
-    """Frames that come every few samples, the first at sample 0; what is written is read back."""
-    time = np.arange(8) / 200
-    rows = press_rows(time, time, time, time, np.array([0, 3, 5]))
-    assert_array_equal(rows["frame"], [0, 0, 0, 1, 1, 2, 2, 2])
-    assert_array_equal(read_press_table(written(tmp_path, rows), 3).frame_sample, [0, 3, 5])
-
-
 @pytest.mark.parametrize("frame_sample", [[], [1, 3], [0, 3, 3], [0, 8]])
 def test_frames_without_a_sample_of_their_own_are_not_written(frame_sample) -> None:
     time = np.arange(8) / 200
@@ -58,13 +50,6 @@ def test_a_row_a_frame_needs_no_numbers_of_frames(tmp_path) -> None:
     assert found.turned
     assert_allclose(found.force_n[-1], 3)
     assert found.position_m is None
-
-
-def test_columns_may_be_named(tmp_path) -> None:
-    path = written(tmp_path, fast() | {"load_mN": np.linspace(0, 5000, 60)})
-    found = read_press_table(path, 6, force_column="load_mN", position_column="desired_mm")
-    assert_allclose(found.force_n[-1], 5.0)
-    assert found.position_column == "desired_mm"
 
 
 @pytest.mark.parametrize(

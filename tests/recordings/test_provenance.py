@@ -7,9 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from palpate.cli import app
 from palpate.core import InputError, ManualClock, RecordingError
 from palpate.core.provenance import Provenance, joint_provenance, provenance_of
 from palpate.recordings import Manifest, Run, RunWriter
@@ -24,7 +22,7 @@ def run_with(path: Path, **about: object) -> Path:
     return path
 
 
-@pytest.mark.parametrize("origin", ["shear was not measured", "rendered by our simulator", ""])
+@pytest.mark.parametrize("origin", ["shear was not measured", "rendered by our simulator"])
 @pytest.mark.parametrize("provenance", list(Provenance))
 def test_the_origin_s_text_does_not_change_the_provenance(
     tmp_path: Path, origin: str, provenance: Provenance
@@ -65,17 +63,3 @@ def test_a_joined_recording_is_simulated_where_a_part_is(tmp_path: Path) -> None
     assert joined([Run.open(part) for part in parts]).manifest.provenance is Provenance.SIMULATED
     assert joint_provenance([Provenance.MEASURED, Provenance.DERIVED]) is Provenance.DERIVED
     assert joint_provenance([Provenance.MEASURED]) is Provenance.MEASURED
-
-
-def test_an_import_states_the_provenance_that_is_given(tmp_path: Path) -> None:
-    folder = tmp_path / "images"
-    folder.mkdir()
-    from palpate.recordings.exchange.image_files import encode
-
-    for k in range(3):
-        (folder / f"f{k}N.png").write_bytes(encode(np.full((8, 8), 40 * k, np.uint8)).tobytes())
-    words = ["import", "images", str(folder), str(tmp_path / "run"), "--name-pattern", "f{force_N}N.png"]
-    assert CliRunner().invoke(app, [*words, "--provenance", "synthetic"]).exit_code == 2
-    said = CliRunner().invoke(app, [*words, "--provenance", "simulated", "--origin", "our simulator"])
-    assert said.exit_code == 0, said.output
-    assert Run.open(tmp_path / "run").manifest.provenance is Provenance.SIMULATED

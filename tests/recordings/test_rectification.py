@@ -1,7 +1,5 @@
 """Laws of rectification: the fast map is the exact one, straight is straight, and no other camera's frame."""
 
-import time
-
 import cv2
 import numpy as np
 import pytest
@@ -82,25 +80,3 @@ def test_crops_count_in_the_rectified_image():
     part = Preparation(crop, (150, 200), 3, lens=LENS).apply(frame)
     np.testing.assert_array_equal(part, whole[50:200, 100:300])
     np.testing.assert_array_equal(whole, rectified(frame, LENS))
-
-
-def test_kept_maps_are_faster_than_new_ones_each_frame():
-    """The point of keeping them; the factor measured on the page is far above the 3 asked here."""
-    frame = np.random.default_rng(0).integers(0, 256, (480, 640, 3), np.uint8)
-    rectified(frame, LENS)
-
-    def naive():
-        maps = cv2.fisheye.initUndistortRectifyMap(
-            LENS.matrix, np.array(LENS.distortion), np.eye(3), LENS.matrix, (640, 480), cv2.CV_32FC1
-        )
-        cv2.remap(frame, *maps, cv2.INTER_LINEAR)
-
-    def least(function):
-        times = []
-        for _ in range(7):
-            start = time.perf_counter()
-            function()
-            times.append(time.perf_counter() - start)
-        return min(times)
-
-    assert least(naive) > 3 * least(lambda: rectified(frame, LENS))

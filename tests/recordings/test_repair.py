@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from tests.refusals import refused
 
-from palpate.core import ExistsError, ManualClock, RecordingError
+from palpate.core import ManualClock, RecordingError
 from palpate.recordings import Manifest, Run, RunWriter, repair
 
 SECOND = 1_000_000_000
@@ -85,18 +85,6 @@ def test_a_repaired_run_keeps_its_identity_and_names_its_source(run: Path, tmp_p
     assert old.hash in new.manifest.origin
     same = {"origin": ""}
     assert new.manifest.model_copy(update=same) == old.manifest.model_copy(update=same)
-
-
-def test_a_repaired_run_can_be_continued(run: Path, tmp_path: Path) -> None:
-    repair(run, tmp_path / "new")
-    with RunWriter.resume(tmp_path / "new", clock=ManualClock(9 * SECOND)) as new:
-        new.frame(picture(9))
-    assert Run.open(tmp_path / "new").times_s.tolist()[-1] == 9.0
-
-
-def test_a_repair_never_overwrites(run: Path) -> None:
-    with pytest.raises(ExistsError):
-        repair(run, run)
 
 
 def test_a_run_without_segments_has_nothing_to_repair(run: Path, tmp_path: Path) -> None:

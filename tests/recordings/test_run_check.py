@@ -55,14 +55,6 @@ def test_the_pause_between_segments_is_neither_duration_nor_gap(tmp_path: Path) 
     assert report.channels["frames"].longest_gap_s == 3.0
 
 
-def test_times_that_are_only_positions_give_no_rate(tmp_path: Path) -> None:
-    record(tmp_path / "run", Manifest.new(sensor="s", labels=LABELS, clock="ordinal"))
-    report = check(tmp_path / "run")
-    assert report.duration_s is None
-    assert report.channels["frames"].rate_Hz is None
-    assert report.channels["frames"].longest_gap_s is None
-
-
 def test_a_damaged_run_is_reported_as_not_sound_and_as_far_as_it_can_be_read(tmp_path: Path) -> None:
     record(tmp_path / "run", Manifest.new(sensor="s", labels=LABELS))
     file = tmp_path / "run/0000-frames.mcap"
@@ -71,15 +63,6 @@ def test_a_damaged_run_is_reported_as_not_sound_and_as_far_as_it_can_be_read(tmp
     assert (report.frames, report.sound) == (4, False)
     assert [found.file for found in report.damage] == ["0000-frames.mcap"]
     assert json.loads(json.dumps(report.to_dict()))["damage"][0]["file"] == "0000-frames.mcap"
-
-
-def test_a_recording_that_was_cut_short_is_told_to_go_on_or_to_be_repaired(tmp_path: Path) -> None:
-    record(tmp_path / "run", Manifest.new(sensor="s", labels=LABELS))
-    file = tmp_path / "run/0000-frames.mcap"
-    os.truncate(file, file.stat().st_size - 1)
-    assert check_text(check(tmp_path / "run")).endswith(
-        "into a new run, and the command that recorded it goes on in this one"
-    )
 
 
 @pytest.mark.parametrize("cut", ["frames", "signals"])
@@ -108,18 +91,6 @@ def test_frames_without_a_record_and_records_without_a_frame_are_told_apart(
     said = check_text(report)
     assert ("9 frames" in said) == (cut == "signals")
     assert ("9 records" in said) == (cut == "frames")
-
-
-def test_frames_that_were_recorded_without_labels_are_no_orphans(tmp_path: Path) -> None:
-    with RunWriter.create(tmp_path / "run", Manifest.new(sensor="s")) as new:
-        new.frame(np.zeros((4, 5), np.uint8))
-    assert (check(tmp_path / "run").orphan_frames, check(tmp_path / "run").orphan_records) == (0, 0)
-
-
-def test_a_run_with_nothing_in_it_is_sound(tmp_path: Path) -> None:
-    RunWriter.create(tmp_path / "run", Manifest.new(sensor="s")).close()
-    report = check(tmp_path / "run")
-    assert (report.frames, report.duration_s, report.sound) == (0, 0.0, True)
 
 
 def test_a_folder_that_is_no_run_is_refused(tmp_path: Path) -> None:

@@ -56,11 +56,6 @@ def test_leave_one_out_holds_out_each_group_once():
     assert parted.groups.tolist() == ["0", "0", "135.5", "584", "584"]
 
 
-def test_several_columns_group_together():
-    table = pd.DataFrame({"row": [0, 0, 1, 1], "column": [0, 1, 0, 0]})
-    assert len(split(table, "leave-one-out:row,column").folds) == 3
-
-
 @pytest.mark.parametrize(
     ("columns", "kind"),
     [
@@ -77,12 +72,6 @@ def test_the_coarsest_group_that_can_be_held_out_is_chosen_and_said(columns, kin
     assert parted.kind == kind
     assert all(name in parted.reason for name in parted.group_columns)
     assert "no column" in parted.reason or parted.group_columns
-
-
-def test_too_few_groups_for_the_folds_are_left_out_one_by_one_when_the_choice_is_free():
-    parted = split(pd.DataFrame({"object": ["a", "b", "c"] * 4}), "auto", folds=5)
-    assert parted.kind == "leave-one-out:object"
-    assert len(parted.folds) == 3
 
 
 @pytest.mark.parametrize(

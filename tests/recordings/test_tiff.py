@@ -8,8 +8,7 @@ import tifffile
 from tests.refusals import refused
 
 from palpate.core.errors import ImageError, RangeError
-from palpate.recordings.exchange.frame_sequences import TiffFrames, write_tiff
-from palpate.recordings.exchange.image_files import read_image
+from palpate.recordings.exchange.frame_sequences import TiffFrames
 
 
 @pytest.fixture
@@ -31,19 +30,6 @@ def test_pages_come_back_as_they_were_written(tmp_path, frames, how) -> None:
         np.testing.assert_array_equal(read[3], frames[3])
         with refused("index-range", RangeError):
             read[7]
-
-
-def test_a_name_that_microscopes_use_changes_nothing_in_the_file(tmp_path, frames) -> None:
-    write_tiff(tmp_path / "press.tif", frames)
-    write_tiff(tmp_path / "press.ome.tif", frames)
-    assert (tmp_path / "press.ome.tif").read_bytes() == (tmp_path / "press.tif").read_bytes()
-
-
-def test_pages_in_colour_stay_in_colour(tmp_path, rng) -> None:
-    colour = rng.integers(0, 256, (3, 10, 12, 3), dtype=np.uint8)
-    tifffile.imwrite(tmp_path / "c.tif", colour, photometric="rgb")
-    with TiffFrames(tmp_path / "c.tif") as read:
-        np.testing.assert_array_equal(np.stack(list(read)), colour)
 
 
 def classic(pages: list[int]) -> bytes:
@@ -102,15 +88,3 @@ def test_a_file_that_is_cut_off_names_its_page(tmp_path, frames) -> None:
     path.write_bytes(whole[: len(whole) // 2])
     with pytest.raises(ImageError, match="cut off"), TiffFrames(path) as read:
         list(read)
-
-
-def test_a_missing_file_is_named(tmp_path) -> None:
-    with pytest.raises(ImageError, match="not there"):
-        TiffFrames(tmp_path / "none.tif")
-
-
-def test_an_image_of_floating_point_colour_is_not_called_damaged(tmp_path) -> None:
-    path = tmp_path / "float.tif"
-    tifffile.imwrite(path, np.zeros((4, 5, 3), np.float32), photometric="rgb")
-    with refused("pixel-format", ImageError):
-        read_image(path)

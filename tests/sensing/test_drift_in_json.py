@@ -93,8 +93,3 @@ def test_a_frame_s_json_has_the_drift_of_its_calibration_and_of_each_reading(for
 def test_a_drift_that_is_no_number_counts_as_drifted() -> None:
     assert Drift(math.nan, 0.5).drifted
     assert Drift(math.inf, 0.5).drifted
-
-
-def test_a_frame_without_image_has_a_code() -> None:
-    unread = TouchedFrame(0, "a.png", 0.0, None, None, "damaged").to_dict()
-    assert (unread["read"], unread["code"]) == (False, "no_image")

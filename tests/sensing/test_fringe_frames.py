@@ -24,7 +24,7 @@ def reader():
     return ColourReader(table_of(LED), noise=0.01, white=np.full(3, 0.9), mask=FACE)
 
 
-@pytest.mark.parametrize("follow", [True, False])
+@pytest.mark.parametrize("follow", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_each_frame_of_a_growing_load_has_its_own_orders(follow):
     for load, seen in zip(LOADS, read_orders(list(frames()), reader(), follow=follow), strict=True):
         assert seen.name == f"{load:g}"

@@ -8,7 +8,7 @@ import pytest
 from tests.refusals import refused
 
 from palpate.core import ImageError, InputError, RangeError
-from palpate.sensing.image_health import edge_blur_px, image_health, lit_region, seen_frequency_hz
+from palpate.sensing.image_health import edge_blur_px, image_health, seen_frequency_hz
 
 HEIGHT, WIDTH = 120, 160
 ROWS, COLUMNS = np.mgrid[:HEIGHT, :WIDTH].astype(float)
@@ -48,8 +48,7 @@ def movie(
 SCENE = 100 + 30 * np.sin(COLUMNS / 30)
 
 
-@pytest.mark.parametrize("noise", [0.0, 1.0])
-@pytest.mark.parametrize("blur", [1.0, 1.5, 2.0, 3.0, 4.0])
+@pytest.mark.parametrize(("blur", "noise"), [(1.0, 0.0), (2.0, 1.0), (4.0, 1.0)])
 def test_the_blur_of_an_edge_is_told(blur: float, noise: float) -> None:
     image = step(blur) + np.random.default_rng(1).normal(0, noise, (HEIGHT, WIDTH))
     assert edge_blur_px(image, noise) == pytest.approx(blur, rel=0.03)
@@ -60,26 +59,17 @@ def test_what_has_no_edge_has_no_blur() -> None:
     assert edge_blur_px(np.random.default_rng(2).normal(100, 2, (HEIGHT, WIDTH)), 2.0) is None
 
 
-@pytest.mark.parametrize("noise", [0.7, 2.0, 5.0])
+@pytest.mark.parametrize("noise", [0.7, 5.0])
 def test_noise_is_told_with_the_rounding_to_grey_levels_and_without_the_flicker(noise: float) -> None:
     flickering = movie(SCENE, amplitude=0.05, readout_s=0.02, noise=noise)
     assert image_health(flickering, 30.0).noise == pytest.approx(math.sqrt(noise**2 + 1 / 12), rel=0.02)
-
-
-def test_few_frames_tell_the_same_noise_as_many() -> None:
-    for frames in (4, 6, 48):
-        found = image_health(movie(SCENE, frames, noise=2.0, seed=frames), 30.0).noise
-        assert found == pytest.approx(math.sqrt(4 + 1 / 12), rel=0.03), frames
 
 
 @pytest.mark.parametrize(
     ("rate_hz", "lamp_hz", "readout_s", "seen_hz", "mains_hz"),
     [
         (30.0, 100.0, 0.0, 10.0, 50.0),
-        (30.0, 100.0, 0.025, 10.0, 50.0),
         (25.0, 120.0, 0.02, 5.0, 60.0),
-        (60.0, 100.0, 0.012, 20.0, 50.0),
-        (29.0, 120.0, 0.02, 4.0, 60.0),
     ],
 )
 def test_the_flicker_of_lamps_on_mains_is_told_with_its_amplitude_and_the_exposure_against_it(
@@ -108,7 +98,7 @@ def test_a_lamp_that_is_on_no_mains_is_told_as_such() -> None:
     assert "supply" in health.advice[0]
 
 
-@pytest.mark.parametrize("frames", [16, 30, 60])
+@pytest.mark.parametrize("frames", [16, 60])
 @pytest.mark.parametrize("settles_in", [0.3, math.inf])  # of the time filmed; a straight line
 def test_a_lamp_that_warms_up_does_not_flicker_and_one_that_does_both_is_told(
     frames: int, settles_in: float
@@ -133,13 +123,6 @@ def test_saturated_and_black_shares_are_those_that_were_put_in() -> None:
     assert "saturated" in health.advice[0]
 
 
-@pytest.mark.parametrize(("level", "word"), [(25.0, "more light"), (225.0, "shorten")])
-def test_too_dark_and_too_bright_are_told(level: float, word: str) -> None:
-    health = image_health(movie(np.full((HEIGHT, WIDTH), level), 6), 30.0)
-    assert health.level == pytest.approx(level, abs=0.3)
-    assert word in health.advice[0]
-
-
 def test_focus_beside_a_reference_is_lost_with_blur_and_not_with_noise_or_brightness() -> None:
     texture = cv2.GaussianBlur(np.random.default_rng(3).uniform(0, 255, (HEIGHT, WIDTH)), (0, 0), 1.0)
     sharp = np.clip(128 + (texture - 128) * 1.5, 5, 250)
@@ -157,21 +140,6 @@ def test_a_good_picture_needs_nothing() -> None:
     assert health.good
     assert health.blur_px == pytest.approx(0.8, abs=0.1)
     assert health.to_dict()["flicker"]["frequency_hz"] is None
-
-
-def test_a_picture_out_of_focus_or_full_of_noise_says_so() -> None:
-    assert "focus on" in image_health(movie(step(3.0), 8, noise=0.5), 30.0).advice[0]
-    assert "less gain" in image_health(movie(SCENE, 8, noise=7.0), 30.0).advice[0]
-
-
-def test_the_lit_part_is_the_skin_s_region() -> None:
-    scene = np.full((HEIGHT, WIDTH), 10.0)
-    scene[30:90, 40:130] = 120.0
-    scene[5:10, 5:20] = 200.0  # a reflection
-    found = lit_region(movie(scene, 3))
-    assert np.abs(np.array(found) - [40, 30, 90, 60]).max() <= 2
-    with refused("no-bright-region", ImageError):
-        lit_region([np.full((HEIGHT, WIDTH), 80, np.uint8)])
 
 
 def test_frames_that_tell_nothing_are_refused_with_what_to_give() -> None:

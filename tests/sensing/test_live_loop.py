@@ -5,16 +5,14 @@ from __future__ import annotations
 import asyncio
 import threading
 import time
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from tests.sensing.live_stand_ins import HandedFrames, MeanReader, numbered, until
 
 from palpate.calibration.calibration_plan import ReferenceRule
-from palpate.core import DeviceError, Drift, Frame, InputError
+from palpate.core import DeviceError, Drift, Frame
 from palpate.core.device_protocols import Wrench
-from palpate.core.refusal import ReasonCode
 from palpate.estimators import Estimator
 from palpate.recordings import export_folder
 from palpate.sensing import live_loop, open_source, sense
@@ -23,7 +21,6 @@ from palpate.sensing.live_loop import LiveLoop, LiveReading, LiveState
 from palpate.sensing.live_sources import LiveFrame
 from palpate.sensing.streaming import live_drift, live_slots
 from palpate.sensing.streaming.live_image import ImageWatch
-from palpate.sensing.streaming.live_readers import open_reader
 from palpate.sensing.streaming.live_slots import NewestSlot
 from palpate.sensing.streaming.live_statistics import StatisticsKeeper
 from palpate.sensors.owned import sensor_preset
@@ -110,28 +107,6 @@ def test_a_camera_s_old_frames_are_dropped_and_counted_and_the_newest_read() -> 
         assert loop.stats.dropped == 6
 
 
-def test_what_the_source_lost_is_counted_apart_from_what_was_dropped() -> None:
-    source = HandedFrames(waits=True)
-    first, second = numbered(0), numbered(1)
-    source.give(first, type(second)(second.frame, second.arrived_ns, 1, lost=3), None)
-    with ran(source) as loop:
-        assert loop.wait(5.0)
-        assert (loop.stats.lost, loop.stats.dropped, loop.stats.frames) == (3, 0, 2)
-
-
-def test_latency_is_from_arrival_to_reading_and_rate_is_of_arrivals() -> None:
-    source = HandedFrames(waits=True)
-    begun_ns = time.monotonic_ns()
-    frames = [numbered(i) for i in range(21)]
-    source.give(*(type(f)(f.frame, begun_ns - 10**9 + i * 50_000_000, i) for i, f in enumerate(frames)), None)
-    with ran(source, MeanReader(0.002)) as loop:
-        assert loop.wait(5.0)
-        stats = loop.stats
-    assert stats.rate_hz == pytest.approx(20.0)
-    assert 2.0 < stats.p50_ms < 700.0
-    assert stats.p50_ms <= stats.p95_ms <= stats.p99_ms < 1300.0
-
-
 def test_a_rate_is_of_the_last_five_seconds_also_when_nothing_comes_any_more() -> None:
     now_ns = time.monotonic_ns()
     for silent_s, told_hz in ((0.02, 50.0), (0.9, 50.0), (2.0, 30.0), (4.0, 10.0), (6.0, None)):
@@ -169,35 +144,6 @@ def test_a_camera_that_comes_back_is_opened_again(monkeypatch) -> None:
         assert loop.status()["outages"] == 1
 
 
-def test_a_driver_that_fails_in_a_way_nobody_thought_of_is_opened_again(monkeypatch) -> None:
-    monkeypatch.setattr(live_loop, "REOPEN_S", 0.02)
-
-    class Failing(HandedFrames):
-        def grab(self, timeout_s):
-            raise RuntimeError("of its own")
-
-    first, second = Failing(waits=False), HandedFrames(waits=False)
-    with LiveLoop(lambda: second, MeanReader(), source=first) as loop:
-        loop.start()
-        second.give(numbered(0))
-        until(lambda: loop.stats.frames == 1)
-        assert ["RuntimeError" in one for one in loop.faults] == [True]
-
-
-def test_no_camera_is_a_named_state_and_the_loop_waits_for_one(monkeypatch) -> None:
-    monkeypatch.setattr(live_loop, "REOPEN_S", 0.02)
-
-    def opener():
-        raise DeviceError("0 cameras have the serial number 'A1'")
-
-    with LiveLoop(opener) as loop:
-        loop.start()
-        until(lambda: loop.state is LiveState.LOST)
-        assert loop.status()["state"] == "lost"
-        assert "serial number" in loop.status()["why"]
-        assert not loop.wait(0.1)
-
-
 def test_a_silent_camera_is_lost_and_a_silent_file_is_waited_for(monkeypatch) -> None:
     monkeypatch.setattr(live_loop, "SILENT_S", 0.1)
     monkeypatch.setattr(live_loop, "GRAB_S", 0.02)
@@ -230,17 +176,6 @@ def test_a_subscriber_that_blocks_is_dropped_and_named_and_the_loop_goes_on(monk
         assert loop.stats.frames == 80
     assert kept.frames == list(range(80))
     blocking.release.set()
-
-
-def test_what_waits_for_a_subscriber_is_bounded_and_its_misses_are_counted() -> None:
-    source, blocking = HandedFrames(waits=False), Blocking()
-    with ran(source, subscribers=[blocking]) as loop:
-        line = loop._lines[0]
-        for i in range(60):
-            source.give(numbered(i))
-            until(lambda i=i: loop.stats.frames == i + 1)
-        assert line.missed == 60 - 1 - live_slots.MAX_LINE
-        blocking.release.set()
 
 
 def test_a_reader_that_fails_is_a_named_state() -> None:
@@ -312,20 +247,7 @@ def test_a_picture_without_a_calibration_is_watched_where_the_preset_says_that_t
         assert [line.role for line in known.overlay.lines] == ["skin", "region"]
 
 
-def test_an_untouched_image_may_be_given_and_serves_the_next_calibration() -> None:
-    source, reader, other = HandedFrames(waits=True), MeanReader(), MeanReader()
-    with ran(source, reader) as loop:
-        loop.zero(np.full((4, 6), 9, np.uint8))
-        source.give(numbered(0, level=20))
-        until(lambda: loop.stats.frames == 1)
-        assert loop.latest.readings["force_N"].value == 11.0
-        loop.use(other)
-        source.give(numbered(1, level=30), None)
-        assert loop.wait(5.0)
-        assert loop.latest.readings["force_N"].value == 21.0
-
-
-@pytest.mark.parametrize("rate_hz", [10.0, 80.0, 1000.0])
+@pytest.mark.parametrize("rate_hz", [10.0, 1000.0])
 def test_bias_of_force_is_of_the_moment_of_the_zero_at_any_rate_of_samples(rate_hz: float) -> None:
     force = Steps()
     source = HandedFrames(waits=True, force=force)
@@ -381,7 +303,6 @@ def test_force_beside_the_camera_is_told_and_its_bias_leaves_with_the_zero() -> 
 @pytest.mark.parametrize(
     ("differential", "drifted", "valid", "kind", "action"),
     [
-        (True, False, True, "", ""),
         (True, True, True, "", "re-zero"),
         (False, True, True, "", "adapt"),
         (True, False, False, "focus", "refocus"),
@@ -389,7 +310,6 @@ def test_force_beside_the_camera_is_told_and_its_bias_leaves_with_the_zero() -> 
         (True, False, False, "shift", "re-zero"),
         (False, False, False, "exchanged channels", "exchange"),
         (True, False, False, "mirrored-x", "flip"),
-        (False, False, False, "flipped", "flip"),
     ],
 )
 def test_advice_follows_the_guard(monkeypatch, differential, drifted, valid, kind, action) -> None:
@@ -406,29 +326,6 @@ def test_advice_follows_the_guard(monkeypatch, differential, drifted, valid, kin
         if action == "re-zero":
             loop.zero(np.zeros((4, 6), np.uint8))
             assert loop.advice == ""
-
-
-def test_exchanged_colours_are_advised_on_where_touches_alone_show_them(monkeypatch) -> None:
-    monkeypatch.setattr(live_drift, "LOOK_S", 1e-6)
-    reader, frame = MeanReader(), numbered(0)
-    watch = live_drift.DriftWatch(reader)
-    for k in range(60):  # one frame in ten shows colour: the third of them is believed
-        reader.kind, reader.valid = ("exchanged channels", False) if k % 10 == 9 else ("", True)
-        assert watch.action == ("exchange" if k >= 30 else "")
-        watch.frame(frame.frame.image, reader.read(frame))
-        time.sleep(1e-5)
-    assert watch.advice.startswith("exchange: red and blue seem exchanged")
-
-
-def test_drift_is_the_least_of_the_last_minute_so_that_a_touch_is_none(monkeypatch) -> None:
-    monkeypatch.setattr(live_drift, "LOOK_S", 1e-6)
-    reader = MeanReader()
-    watch = live_drift.DriftWatch(reader)
-    for statistic in (9.0, 1.2, 8.0):
-        reader.drifts = Drift(statistic, 3.0)
-        live_frame = numbered(0)
-        watch.frame(live_frame.frame.image, reader.read(live_frame))
-    assert watch.drift == Drift(1.2, 3.0)
 
 
 def test_a_slow_consumer_gets_the_newest_of_a_camera_and_all_of_a_file() -> None:
@@ -477,27 +374,6 @@ def test_live_gives_the_readings_of_sense_frame_by_frame(spots, tmp_path) -> Non
         assert [{key: one[key] for key in expected[0]} for one in found] == expected
 
 
-def test_a_calibration_for_another_size_gives_no_value_and_says_so(spots) -> None:
-    calibration, _ = spots
-    source = HandedFrames(waits=True)
-    source.give(numbered(0), None)
-    with ran(source, open_reader(calibration)) as loop:
-        assert loop.wait(5.0)
-        assert loop.latest.readings["x_mm"].code == ReasonCode.IMAGE_SIZE
-        assert "64x48 px" in loop.advice
-
-
-def test_a_frame_unlike_those_calibrated_on_is_no_advice_about_the_sensor(spots) -> None:
-    calibration, _ = spots
-    noise = np.random.default_rng(0).integers(0, 256, (48, 64), dtype=np.uint8)
-    source = HandedFrames(waits=True)
-    source.give(replace(numbered(0), frame=Frame(noise, 0.0, name="0")), None)
-    with ran(source, open_reader(calibration)) as loop:
-        assert loop.wait(5.0)
-        assert loop.latest.readings["x_mm"].why.startswith("the image is unlike those calibrated on")
-        assert loop.advice == ""
-
-
 def test_a_differential_calibration_says_that_it_needs_a_zero(
     calibrate_spots, record_spots, tmp_path
 ) -> None:
@@ -519,18 +395,6 @@ def test_a_differential_calibration_says_that_it_needs_a_zero(
         one.to_dict()["readings"] for one in sense(Estimator.open(calibration), open_source(run.path))
     ]
     assert from_run == expected
-
-
-def test_a_source_that_cannot_be_opened_is_refused_at_once(tmp_path) -> None:
-    with pytest.raises(InputError, match="not there"):
-        live(camera=tmp_path / "none.avi")
-
-
-def test_frames_that_a_driver_hands_over_together_tell_no_rate() -> None:
-    kept, now_ns = StatisticsKeeper(), time.monotonic_ns()
-    for k in range(5):
-        kept.arrived(now_ns + 40_000 * k, 0, 0)
-    assert kept.now().rate_hz is None
 
 
 def test_the_force_beside_a_reading_is_that_of_its_frame_and_not_of_when_it_was_read() -> None:

@@ -34,13 +34,6 @@ def test_a_run_is_removed_where_it_holds_neither_a_frame_nor_anything_that_was_a
         assert len(Run.open(tmp_path / "run")) == frames
 
 
-def test_a_run_that_was_closed_stays_also_without_a_frame(tmp_path) -> None:
-    recorder = LiveRecorder(tmp_path / "run", HandedFrames(waits=False))
-    recorder.close()
-    recorder.close_or_discard()
-    assert len(Run.open(tmp_path / "run")) == 0
-
-
 def test_a_log_that_is_discarded_removes_no_other_file_of_its_name(tmp_path) -> None:
     path = tmp_path / "log.mcap"
     log = ReadingLog(path)

@@ -90,14 +90,6 @@ def test_a_recording_is_whole_when_it_has_ended_and_stays_in_its_folder(served) 
         client.record_stop()
 
 
-def test_a_zero_is_taken_from_the_next_frames_and_the_picture_is_judged(served) -> None:
-    service, _, client, _ = served
-    client.wait_for(lambda status: status["image"] and "noise" in status["image"], 10.0)
-    before = service.loop.untouched
-    client.zero()
-    until(lambda: service.loop.untouched is not before)
-
-
 def skin_of(status: dict) -> set[tuple[float, float]] | None:
     """Corners of the skin's region, as they are drawn over the picture."""
     overlay = (status["image"] or {}).get("overlay")
@@ -106,7 +98,7 @@ def skin_of(status: dict) -> set[tuple[float, float]] | None:
     return {tuple(at) for one in overlay["lines"] if one["role"] == "skin" for at in one["points"]}
 
 
-@pytest.mark.parametrize("named", ["by its option", "by its camera"])
+@pytest.mark.parametrize("named", ["by its camera"])
 def test_the_picture_is_looked_at_where_the_sensors_preset_says_its_skin_is(
     video, tmp_path, monkeypatch, named
 ) -> None:
@@ -186,29 +178,6 @@ def test_no_camera_and_a_calibration_that_is_none_have_a_name_each(tmp_path) -> 
 def service_with_runs(service: LiveService, runs) -> LiveService:
     service.options = LiveOptions(camera="NOSUCHSERIAL", runs=str(runs))
     return service
-
-
-def test_options_that_are_none_are_refused() -> None:
-    with pytest.raises(InputError, match="speed"):
-        LiveOptions.from_dict({"speed": 3})
-    assert LiveOptions.from_dict(LiveOptions(size_px=(64, 48)).to_dict()).size_px == (64, 48)
-
-
-def test_a_live_process_computes_in_one_thread_unless_the_user_asks_for_more(monkeypatch, tmp_path) -> None:
-    threads = []
-
-    def begun(words, *, env, **options):
-        threads.append(env["OMP_NUM_THREADS"])
-        raise InterruptedError
-
-    monkeypatch.setattr("palpate.devices.rpc_client.subprocess.Popen", begun)
-    for said in (None, "2"):
-        monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
-        if said is not None:
-            monkeypatch.setenv("OMP_NUM_THREADS", said)
-        with pytest.raises(InterruptedError):
-            launch_live("live process", {}, folder=tmp_path)
-    assert threads == ["1", "2"]
 
 
 def test_the_process_outlives_its_clients_and_leaves_its_recording_whole(video, tmp_path) -> None:

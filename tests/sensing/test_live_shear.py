@@ -8,7 +8,7 @@ from tests.refusals import refused
 from tests.sensing.live_stand_ins import HandedFrames
 
 import palpate
-from palpate.core import CertificateError, Frame, InputError, Pose, untouched
+from palpate.core import CertificateError, Frame, Pose, untouched
 from palpate.estimators.shear import ShearReader
 from palpate.sensing.frame_sources import Unreadable
 from palpate.sensing.live_loop import LiveLoop
@@ -61,11 +61,6 @@ def test_a_frame_of_another_size_gives_none_and_says_why(filmed) -> None:
     assert len(reader.read(live_frame(Frame(np.zeros((8, 8, 3), np.uint8)), 0))) == 0
     assert "8" in reader.needs
     assert len(reader.read(live_frame(Unreadable("b.png", 0.0, "damaged"), 1))) == 0
-
-
-def test_a_sensor_without_a_patterned_skin_is_refused() -> None:
-    with pytest.raises(InputError, match="patterned skin"):
-        open_shear_reader("palm")
 
 
 def test_a_folder_of_another_calibration_is_told_what_makes_one_of_force_by_marks(tmp_path) -> None:

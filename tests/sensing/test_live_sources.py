@@ -9,7 +9,6 @@ import sys
 import threading
 import time
 import types
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -37,11 +36,9 @@ from palpate.sensing.live_sources import (
     CameraFrames,
     HandFrames,
     NoFrameYetError,
-    PacedFrames,
     is_simulated,
     open_live_source,
 )
-from palpate.sensing.streaming import replayed_frames
 from palpate.sensing.streaming.replayed_frames import PipedFrames
 
 
@@ -91,15 +88,6 @@ def test_a_paced_video_plays_at_its_own_rate_and_goes_on_in_time_when_repeated(t
     source.close()
 
 
-def test_a_paced_frame_that_is_not_due_is_waited_for_no_longer_than_asked(tmp_path) -> None:
-    source = open_live_source(video(tmp_path / "slow.avi", images(3), rate_hz=2.0), paced=True)
-    source.grab(1.0)
-    begun_s = time.monotonic()
-    with pytest.raises(NoFrameYetError):
-        source.grab(0.05)
-    assert time.monotonic() - begun_s < 0.3
-
-
 def test_a_folder_that_fills_gives_every_image_once_in_order(tmp_path) -> None:
     made = images(6, seed=1)
     (tmp_path / "frame-0.png").write_bytes(encode(made[0]).tobytes())
@@ -133,33 +121,6 @@ def test_a_folder_that_is_taken_away_while_it_is_read_is_named(tmp_path) -> None
     shutil.rmtree(folder)
     with refused("file-access", StorageError):
         source.grab(1.0)
-
-
-def test_a_folder_is_waited_for_from_when_it_is_first_looked_at(tmp_path) -> None:
-    source = open_live_source(tmp_path, idle_s=0.3)
-    time.sleep(0.4)
-    (tmp_path / "a.png").write_bytes(b"no image")
-    assert [bool(frame.why) for frame in all_of(source)] == [True]
-
-
-def test_a_damaged_image_is_reported_however_long_its_reading_takes(tmp_path, monkeypatch) -> None:
-    def slow(path: Path) -> None:
-        time.sleep(0.2)
-        raise ImageError("no image")
-
-    monkeypatch.setattr(replayed_frames, "read_image", slow)
-    (tmp_path / "a.png").write_bytes(b"no image")
-    assert [bool(frame.why) for frame in all_of(open_live_source(tmp_path, idle_s=0.05))] == [True]
-
-
-def test_an_image_that_stays_damaged_says_why_and_the_rest_follow(tmp_path) -> None:
-    good, damaged, after = images(3, seed=2)
-    (tmp_path / "a.png").write_bytes(encode(good).tobytes())
-    (tmp_path / "b.png").write_bytes(encode(damaged).tobytes()[:60])
-    (tmp_path / "c.png").write_bytes(encode(after).tobytes())
-    found = all_of(open_live_source(tmp_path, idle_s=0.3))
-    assert [bool(frame.why) for frame in found] == [False, True, False]
-    assert "b.png" in found[1].why
 
 
 def test_a_run_that_is_being_written_gives_every_frame_and_ends_with_its_writer(tmp_path) -> None:
@@ -216,24 +177,6 @@ def test_what_is_given_to_a_pipe_comes_out_whatever_lies_between(rng) -> None:
     for at in range(0, len(stream), 7):
         found += cutter.feed(stream[at : at + 7])
     assert found == files
-
-
-def test_a_thumbnail_in_a_jpeg_does_not_end_it() -> None:
-    inner, outer = io.BytesIO(), io.BytesIO()
-    PillowImage.fromarray(images(1)[0]).save(inner, "JPEG")
-    PillowImage.fromarray(images(1, seed=5)[0]).save(outer, "JPEG")
-    thumbnail = b"Exif\0\0" + inner.getvalue()
-    segment = b"\xff\xe1" + (len(thumbnail) + 2).to_bytes(2, "big") + thumbnail
-    data = outer.getvalue()[:2] + segment + outer.getvalue()[2:]
-    assert list(ImageCutter().feed(data + data)) == [data, data]
-    assert list(ImageCutter().feed(data[:-1])) == []
-
-
-def test_bytes_that_only_begin_like_an_image_are_passed_over() -> None:
-    (image,) = images(1, seed=6)
-    data = encode(image).tobytes()
-    noise = b"\xff\xd8\xff\x00rubbish" + b"\0\0\0\x04????"
-    assert list(ImageCutter().feed(noise + data)) == [data]
 
 
 def test_a_png_that_is_cut_short_in_a_pipe_is_one_that_cannot_be_read_and_the_next_follows() -> None:
@@ -419,13 +362,6 @@ def test_an_address_of_nothing_says_what_could_be_given(tmp_path) -> None:
         open_live_source("virtual:palm", paced=True)
     with pytest.raises(InputError, match="for ever"):
         open_live_source(tmp_path, repeat=True)
-
-
-def test_paced_frames_keep_what_is_wrong_with_them(tmp_path) -> None:
-    (tmp_path / "a.png").write_bytes(b"none")
-    source = PacedFrames(lambda: open_live_source(tmp_path, idle_s=0.0), rate_hz=100.0)
-    frame = source.grab(1.0)
-    assert "a.png" in frame.why
 
 
 def test_a_virtual_sensor_is_pressed_by_another_hand_each_time_unless_one_is_asked_for() -> None:

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from palpate.core import ImageError, RangeError
+from palpate.core import ImageError
 from palpate.estimators.lattice.dotted_skin import DottedSkin
 from palpate.sensing.uncalibrated import MarkMotion, PinFollower, follow_marks
 from palpate.sensing.untouched_view import SeenTouch, UntouchedView
@@ -36,13 +36,13 @@ def bulge(places: np.ndarray, middle: tuple[float, float], px: float) -> np.ndar
     return px * away / 50 * np.exp(0.5 - 0.5 * (far / 50) ** 2)
 
 
-@pytest.mark.parametrize("dark", [False, True])
+@pytest.mark.parametrize("dark", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_marks_move_by_what_they_were_moved_by(dark: bool) -> None:
     follower = follow_marks(skin(PLACES, dark, 0), "any")
     assert isinstance(follower, PinFollower)
     assert follower.kind == ("dark" if dark else "bright")
     assert follower.pitch_px == pytest.approx(PITCH, rel=0.01)
-    for step in (0.3, 0.7, 1.0):
+    for step in (0.5, 1.0):
         truth = step * bulge(PLACES, (160.0, 120.0), 6.0)
         moved = follower.moved(skin(PLACES + truth, dark, 1))
         which = np.hypot(*(moved.at_px[:, None] - PLACES[None]).transpose(2, 0, 1)).argmin(axis=1)
@@ -110,25 +110,9 @@ def test_pins_that_move_together_are_no_touch_and_pins_that_move_apart_are_one()
     assert seen.region.area_px < 0.6 * SHAPE[0] * SHAPE[1]  # and not all that the shift has changed
 
 
-def test_pins_that_jumped_too_far_to_be_followed_are_themselves_again_once_released() -> None:
-    """Between two looks a press may end: each pin is then nearer to where its neighbour was."""
-    view = UntouchedView([skin(PLACES, False, i) for i in range(8)], marks="bright", by_marks=True)
-    for step in (0.4, 0.8, 1.0):
-        view.seen(skin(PLACES + step * bulge(PLACES, (160.0, 120.0), 18.0), False, 42))
-    assert view.seen(skin(PLACES, False, 43)).verdict == "untouched"
-
-
 def press(seed: int) -> tuple[UntouchedView, SeenTouch]:
     view = UntouchedView([skin(PLACES, False, i) for i in range(8)], marks="any")
     return view, view.seen(skin(PLACES + bulge(PLACES, (172.0, 120.0), 4.0), False, seed))
-
-
-def test_a_press_on_a_dotted_skin_has_one_region_around_what_moved() -> None:
-    view, seen = press(20)
-    assert seen.verdict == "touched"
-    assert seen.region is not None
-    assert np.hypot(*(np.array(seen.region.centre_px) - [172, 120])) < PITCH / 2
-    assert view.seen(skin(PLACES, False, 21)).verdict == "untouched"
 
 
 def test_the_overlay_has_the_outline_the_centre_and_an_arrow_for_each_mark_that_moved() -> None:
@@ -143,12 +127,3 @@ def test_the_overlay_has_the_outline_the_centre_and_an_arrow_for_each_mark_that_
     assert [dot.at for dot in shapes.dots if dot.role == "centre"] == [seen.region.centre_px]
     assert len(shapes.lines[1].points) <= 120
     assert json.loads(json.dumps(shapes.to_dict()))["texts"][0]["text"] == "touched"
-
-
-def test_nothing_seen_is_drawn_as_its_verdict_alone() -> None:
-    even = [np.rint(np.random.default_rng(i).normal(100, 2, (60, 80))).astype(np.uint8) for i in range(7)]
-    shapes = overlay_of(UntouchedView(even[:6]).seen(even[6]))
-    assert (shapes.lines, shapes.dots, shapes.arrows) == ((), (), ())
-    assert [text.text for text in shapes.texts] == ["untouched"]
-    with pytest.raises(RangeError, match="above 0"):
-        overlay_of(UntouchedView(even[:6]).seen(even[6]), arrow_times=0.0)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from tests.refusals import refused
 
-from palpate.core import Frame, InputError, ManualClock, RangeError, Wrench
+from palpate.core import Frame, InputError, ManualClock, Wrench
 from palpate.recordings import Run
 from palpate.rig.virtual.virtual_hand import TREMBLING, USUAL, HandHabits, VirtualHand
 from palpate.sensing.collection import PressCollector, PressCoverage, Weighing
@@ -129,18 +129,6 @@ def test_typed_weights_label_what_lies_still(tmp_path: Path) -> None:
     assert np.abs(touched.force_N / touched.true_force_N - 1).max() < 0.1
 
 
-def test_weights_are_typed_only_where_no_scale_labels(run: Path, tmp_path: Path) -> None:
-    weighed = PressCollector(tmp_path / "run", "tactip", Weighing(200.0))
-    with weighed, pytest.raises(InputError, match="scale"):
-        weighed.label(1.0)
-    typed = PressCollector(tmp_path / "typed", "tactip", None)
-    with typed:
-        with refused("weight-range", RangeError):
-            typed.label(-1.0)
-        with refused("nothing-pressed", InputError):
-            typed.label(1.0)
-
-
 REGION = (0, 0, 90, 90)
 
 
@@ -152,32 +140,11 @@ def test_coverage_names_gaps_and_empty_sides() -> None:
     assert len(told.text.split(", ")) == 5
 
 
-def test_coverage_of_one_spot_alone_names_all_that_is_missing() -> None:
-    presses = [LabelledPress(f, (45.0, 45.0)) for f in np.linspace(0.2, 4.8, 20)]
-    told = PressCoverage.of(presses, REGION, 20, (0.0, 5.0))
-    assert (told.gaps_n, told.bare) == ([], ["left", "right", "top", "bottom"])
-
-
-def test_coverage_that_misses_nothing_says_nothing() -> None:
-    presses = [
-        LabelledPress(f, (x, y)) for f in np.linspace(0.2, 4.8, 10) for x in (9, 45, 80) for y in (9, 45, 80)
-    ]
-    assert PressCoverage.of(presses, REGION, 40, (0.0, 5.0)).missing == []
-
-
 def test_press_that_is_not_seen_fills_its_bin_of_force_and_hides_no_other() -> None:
     seen = [LabelledPress(f, (45.0, 45.0)) for f in (0.5, 1.5, 4.5)]
     told = PressCoverage.of([*seen, LabelledPress(2.5, None)], REGION, 40, (0.0, 5.0))
     assert (told.presses, told.unplaced) == (4, 1)
     assert told.gaps_n == [(3.0, 4.0)]
-
-
-def test_status_is_plain_and_says_what_is_missing(run: Path) -> None:
-    with PressCollector(run, "tactip", Weighing(200.0), truths=TRUTHS) as collector:
-        status = collector.status
-    assert status["presses"] == len(collector.presses)
-    assert status["asked"] == 40
-    assert "waiting for" in status["advice"]
 
 
 def test_what_the_scale_says_is_wrong_is_advice_also_without_a_press(run: Path) -> None:
@@ -217,12 +184,3 @@ def test_a_scale_that_falls_silent_within_a_press_is_called_so(tmp_path: Path) -
             at_ns = round((4.5 + 0.1 * k) * 1e9)
             collector.on_frame(Arrived(Frame(np.zeros((8, 8), np.uint8), at_ns / 1e9), at_ns))
         assert "said nothing" in collector.advice
-
-
-def test_a_drift_within_the_first_half_minute_has_no_rate_yet(tmp_path: Path) -> None:
-    with weighed(tmp_path) as collector:
-        for k in range(3):
-            fed(collector, [0.022 * k] * 30 + [2.0 + 0.022 * k] * 20, 1.0 + 5.0 * k)
-        fed(collector, [0.066] * 30, 16.0)
-        assert len(collector.presses) == 3
-        assert "taken off" in collector.advice

@@ -1,7 +1,5 @@
 """Frames in, readings out, whatever they come from; a bad frame says so and does not end the rest."""
 
-import json
-
 import cv2
 import numpy as np
 import pytest
@@ -9,8 +7,8 @@ from tests.refusals import refused
 
 from palpate.core import ImageError, InputError
 from palpate.estimators import Estimator
-from palpate.recordings import export_folder, read_image
-from palpate.sensing import frame_sources, open_source, sense
+from palpate.recordings import export_folder
+from palpate.sensing import open_source, sense
 
 
 @pytest.fixture
@@ -43,37 +41,6 @@ def test_a_bad_image_among_good_ones_has_no_value_and_a_reason(estimator, record
     assert bad["readings"]["x_mm"]["value"] is None
     assert not bad["readings"]["x_mm"]["valid"]
     assert "b.png" in bad["readings"]["x_mm"]["why"]
-
-
-def test_what_is_sensed_is_strict_json_of_a_fixed_form(estimator, record_spots) -> None:
-    run = record_spots("fresh", 1, seed=6)
-    for sensed in sense(estimator, open_source(run.path)):
-        found = json.loads(json.dumps(sensed.to_dict(), allow_nan=False))
-        assert set(found) == {"frame", "time_s", "readings", "drift", "calibration"}
-        fields = {"value", "unit", "low", "high", "range", "valid", "code", "why", "drift"}
-        assert set(found["readings"]["x_mm"]) == fields
-        assert found["readings"]["x_mm"]["unit"] == "mm"
-        assert set(found["drift"]) == {"statistic", "limit", "drifted"}
-
-
-def test_one_image_is_a_source(estimator, record_spots, tmp_path) -> None:
-    cv2.imwrite(str(tmp_path / "one.png"), record_spots("fresh", 1, seed=7).frame(3).image)
-    (sensed,) = sense(estimator, open_source(tmp_path / "one.png"))
-    assert sensed.frame == "one.png"
-
-
-def test_one_image_is_decoded_once(tmp_path, monkeypatch) -> None:
-    cv2.imwrite(str(tmp_path / "one.png"), np.zeros((8, 8, 3), np.uint8))
-    decoded = []
-
-    def counted(path):
-        decoded.append(path)
-        return read_image(path)
-
-    monkeypatch.setattr(frame_sources, "read_image", counted)
-    (frame,) = open_source(tmp_path / "one.png")
-    assert (frame.name, frame.time_s, frame.image.shape) == ("one.png", 0.0, (8, 8, 3))
-    assert len(decoded) == 1
 
 
 def test_a_lamp_that_has_dimmed_is_seen_as_drift(estimator, record_spots) -> None:

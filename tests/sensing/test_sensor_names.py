@@ -2,20 +2,13 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
 from tests.refusals import refused
-from typer.testing import CliRunner
 
-import palpate
-from palpate.cli import app
 from palpate.core import InputError
 from palpate.recordings import Manifest, RunWriter
-from palpate.sensing.live_service import LiveOptions, LiveService
 from palpate.sensing.live_sources import open_live_source
-from palpate.sensing.streaming import sensor_names
 from palpate.sensing.streaming.sensor_names import refuse_other_sensor, sensor_family, stated_sensor
 
 
@@ -35,11 +28,8 @@ def run_of(folder, sensor: str):
         ("palm-rig", "palm"),
         ("virtual:palm", "palm"),
         ("virtual tactip/S1=7.6", "tactip"),
-        ("tactip-3", "tactip"),
         ("gelsight-mini", "gelsight-mini"),
         ("palmistry", ""),
-        ("own", ""),
-        ("camera 0", ""),
         ("", ""),
     ],
 )
@@ -56,39 +46,3 @@ def test_a_run_states_its_sensor_and_is_refused_where_that_is_of_another_kind(tm
         assert "of palm-rig" in refuse_other_sensor("mine", source)
         with refused("sensor-differs", InputError):
             refuse_other_sensor("tactip", source)
-
-
-def test_a_virtual_sensor_states_its_own_and_images_none(tmp_path) -> None:
-    with open_live_source("virtual:tactip") as source:  # type: ignore[attr-defined]
-        assert stated_sensor(source) == "tactip"
-        with refused("sensor-differs", InputError):
-            refuse_other_sensor("palm-rig", source)
-    assert stated_sensor(open_live_source(tmp_path)) == ""
-    assert refuse_other_sensor("palm-rig", open_live_source(tmp_path)) == ""
-
-
-def test_live_names_both_sensors_and_refuses_those_of_another_kind(
-    calibrate_spots, tmp_path, monkeypatch
-) -> None:
-    cal = calibrate_spots(tmp_path / "cal", targets=("x_mm",), split="group:press", size_px=(24, 32))[1]
-    run = run_of(tmp_path, "other")
-    words = ["live", str(cal), "--camera", str(run), "--json"]
-    done = CliRunner().invoke(app, words)
-    assert done.exit_code == 0, done.output
-    assert "gives frames" in done.stderr
-    kinds = {"spots": "palm", "other": "tactip"}
-    monkeypatch.setattr(sensor_names, "sensor_family", kinds.get)
-    done = CliRunner().invoke(app, words)
-    assert (done.exit_code, json.loads(done.stdout)["error"]["code"]) == (2, "sensor-differs")
-    assert "gives frames" in done.stderr
-    with refused("sensor-differs", InputError):
-        palpate.live(cal, camera=run)
-    service = LiveService("live other", LiveOptions(camera=str(run), paced=True, repeat=True))
-    service.start()
-    try:
-        assert service.loop.wait(0.5) is False
-        with refused("sensor-differs", InputError):
-            service.use(str(cal))
-        assert service.status()["calibration"] is None
-    finally:
-        service.close()

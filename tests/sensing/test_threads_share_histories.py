@@ -21,7 +21,7 @@ from palpate.sensing.streaming import live_drift
 from palpate.sensing.streaming.live_drift import DriftWatch
 from palpate.studio.live.live_desk import LiveSensor
 
-STRESS_S = 0.7
+STRESS_S = 0.3
 
 
 @pytest.fixture(autouse=True)

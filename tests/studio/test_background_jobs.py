@@ -1,6 +1,5 @@
 """Jobs run beside the server, say how far they are, are bounded, and end with it."""
 
-import json
 import sys
 import time
 from pathlib import Path
@@ -12,7 +11,6 @@ pytest.importorskip("nicegui", reason="NiceGUI is not installed")
 from tests.refusals import refused
 
 from palpate.core import InputError
-from palpate.studio.library import job_process
 from palpate.studio.library.background_jobs import MAX_RUNNING, BackgroundJobs
 from palpate.studio.library.calibrations_page import job_html
 
@@ -67,17 +65,6 @@ def test_jobs_are_bounded_cancelled_and_end_with_the_server():
         last = jobs.begin("x", "waits", suffix=".html")
     assert all(job.process.poll() is not None for job in (*begun, last))
     assert not last.out.parent.exists()
-
-
-def test_a_job_that_is_refused_says_so_in_one_line(monkeypatch, capsys):
-    def refuses(voice, what):
-        voice.progress("looking", 0, 1)
-        raise InputError(f"{what}\nnone", code="no-file")
-
-    monkeypatch.setitem(job_process.JOBS, "report", refuses)
-    assert job_process.main(["report", "cal"]) == 2
-    told = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    assert told == [{"progress": ["looking", 0, 1]}, {"error": "cal none", "code": "no-file"}]
 
 
 @pytest.mark.parametrize(

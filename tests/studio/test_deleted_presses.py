@@ -1,7 +1,6 @@
 """A session whose presses were deleted: the page says so and has a button that presses them anew."""
 
 import json
-import sys
 from argparse import Namespace
 
 import pytest
@@ -14,7 +13,7 @@ from tests.studio.page_driving import opened, serving
 
 from palpate.core import DeviceError
 from palpate.studio.library.job_process import JobVoice
-from palpate.studio.live.start_desk import StartDesk, kept_session
+from palpate.studio.live.start_desk import kept_session
 from palpate.studio.live.start_process import run_session
 from palpate.workflows.start_session import StartSession
 from palpate.workflows.stored_session import STATE
@@ -37,24 +36,6 @@ def deleted(tmp_path):
     }  # fmt: skip
     (folder / STATE).write_text(json.dumps(kept))
     return folder
-
-
-def test_what_is_kept_of_it_can_still_be_shown_with_what_can_be_done(deleted):
-    told = kept_session(deleted)
-    assert told["gone"] == StartSession(deleted).gone_text
-    assert (told["step"], told["camera"], told["asked"]) == ("live", "virtual:tactip", ASKED)
-    assert "commands" not in told
-    assert "gone" not in kept_session(deleted.parent / "none")
-
-
-@pytest.mark.parametrize(("more", "words"), [(0, []), (ASKED, ["--more", str(ASKED)])])
-def test_the_desk_hands_on_how_many_are_pressed_anew(deleted, more, words):
-    tells = "import json, sys; print(json.dumps({'done': {'session': {'words': sys.argv[1:]}}}))"
-    with StartDesk((sys.executable, "-c", tells)) as desk:
-        run = desk.begin(deleted, "virtual:tactip", "virtual", ASKED, more=more)
-        run._ear.join(MAX_S)
-        assert run.session["words"][-len(words) or None :] == (words or run.session["words"])
-        assert ("--more" in run.session["words"]) == bool(more)
 
 
 @pytest.mark.parametrize("more", [0, ASKED])

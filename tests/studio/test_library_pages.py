@@ -3,14 +3,13 @@
 import json
 import subprocess
 import sys
-import time
 
 import pytest
 
 pytest.importorskip("nicegui", reason="NiceGUI is not installed")
 pytest.importorskip("websockets", reason="websockets is not installed")
 
-from tests.studio.page_driving import opened, serving, weak_texts, wider_than
+from tests.studio.page_driving import opened, serving
 from tests.studio.small_run import write_small_run
 
 from palpate.core.provenance import Provenance
@@ -89,20 +88,6 @@ def test_runs_are_listed_and_one_is_played_noted_on_and_split(browser, served, w
     again.wait("document.body.innerText.includes('3 groups')", MAX_S)
 
 
-def test_two_runs_move_together(browser, served):
-    tab = opened(browser, served, PAGES["two runs"])
-    tab.wait("document.querySelectorAll('.player').length === 2", MAX_S)
-    tab.wait("[...document.querySelectorAll('.player img')].every((i) => i.naturalWidth === 32)", MAX_S)
-    assert tab.run("[...document.querySelectorAll('main h2')].slice(0, 2).map((e) => e.innerText)") == [
-        "runs/one simulated, not measured",
-        "runs/two",
-    ]
-    seek(tab, 9)
-    tab.wait(
-        "[...document.querySelectorAll('.player output')].every((o) => o.innerText.startsWith('frame 9'))"
-    )
-
-
 def test_a_calibration_is_reported_compared_and_scored_by_processes_of_their_own(browser, served):
     tab = opened(browser, served, "/calibrations?cal=cal-one&beside=cal-two&run=runs%2Ftwo")
     tab.wait("document.querySelectorAll('.calibration table').length === 2", MAX_S)
@@ -125,56 +110,9 @@ def test_a_calibration_is_reported_compared_and_scored_by_processes_of_their_own
     assert tab.said == []
 
 
-def test_a_trial_is_listed_with_its_commands_and_analysed(browser, served):
-    tab = opened(browser, served, "/trials")
-    tab.wait("document.body.innerText.includes('palpate experiment run jelly --participant P01')", MAX_S)
-    assert "most 13" in tab.text()
-    tab.press("#analyse")
-    tab.wait("!!document.querySelector('#analysis-job a')", 2 * MAX_S)
-
-
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("size", [(390, 844), (1280, 900)])
-def test_text_stands_out_on_every_page_and_nothing_is_cut_off(browser, served, size, scheme):
-    for name, path in PAGES.items():
-        tab = opened(browser, served, path, size, scheme)
-        time.sleep(1.0)
-        assert weak_texts(tab) == [], name
-        assert wider_than(tab) <= size[0], name
-        cut = tab.run(
-            "[...document.querySelectorAll('.card *')].filter((e) => e.scrollWidth > e.clientWidth + 1 && "
-            "getComputedStyle(e).overflowX === 'hidden').map((e) => e.className)"
-        )
-        assert cut == [], name
-        assert tab.run("!!document.querySelector('#estop')"), name
-
-
-def test_the_theme_is_chosen_by_a_switch_and_kept(browser, served):
-    tab = opened(browser, served, "/recordings", scheme="light")
-    theme = "document.documentElement.dataset.theme"
-    assert tab.run(theme) == "light"
-    tab.press("#theme")  # light, as chosen
-    tab.press("#theme")
-    assert tab.run(theme) == "dark"
-    tab.go(served.url("/rig"))
-    tab.wait("document.body?.classList.contains('body--dark')", MAX_S)
-    tab.press("#theme")
-    assert tab.run(theme) == "light"
-
-
 def test_the_emergency_stop_works_from_every_page(browser, served):
     for path in ("/", "/live", "/recordings", "/calibrations", "/trials", "/softness", "/rig"):
         served.tell(json.dumps({"recording": True, "state": "running"}))
         tab = opened(browser, served, path, until="!!document.querySelector('#estop:not([hidden])')")
         tab.key("Escape", 27)
         assert served.process.stdout.readline().strip() == "estop", path
-
-
-def test_an_empty_workspace_says_what_to_do(browser, tmp_path):
-    with serving(tmp_path) as served:
-        empty = {"recordings": "runs", "calibrations": "calibrations", "trials": "experiments"}
-        for path, what in empty.items():
-            says = f"document.body.innerText.includes({json.dumps(f'No {what} yet')})"
-            opened(browser, served, f"/{path}", until=says)
-        nothing = "document.body.innerText.includes('is nothing in the workspace')"
-        opened(browser, served, "/recordings?run=..%2F..%2Fetc", until=nothing)

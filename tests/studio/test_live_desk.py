@@ -1,24 +1,17 @@
 """Live sensors: what they told is kept for seconds, and drawn with its doubt; first sessions go on."""
 
-import html
-import io
 import math
 import re
 import sys
 import time
-from argparse import Namespace
-from contextlib import suppress
 
 import pytest
-from tests.rig.hand_scale import HandScale
-from tests.rig.serial_terminal import FakeTerminal
 
 pytest.importorskip("nicegui", reason="NiceGUI is not installed")
 
 from tests.refusals import refused
 
 from palpate.core import DeviceError, InputError
-from palpate.studio.library.job_process import JobVoice
 from palpate.studio.live.live_desk import (
     MAX_SENSORS,
     SPAN_S,
@@ -26,30 +19,14 @@ from palpate.studio.live.live_desk import (
     LiveProcesses,
     LiveSample,
     LiveSensor,
-    edge_readings,
 )
 from palpate.studio.live.live_drawing import (
-    lateral_motion,
-    overlay_legend,
     overlay_svg,
     place_svg,
     reading_svg,
-    shows_marks,
-    strain_svg,
 )
-from palpate.studio.live.live_page import SensorCard, facts_html, head_html, live_address
-from palpate.studio.live.reading_rows import NAMES, softness_html, unread, values_html
-from palpate.studio.live.start_desk import StartDesk, StartRun, kept_session
-from palpate.studio.live.start_page import (
-    UNITS,
-    caption_of,
-    collected_html,
-    coverage_html,
-    result_html,
-    steps_html,
-)
-from palpate.studio.live.start_process import run_session
-from palpate.workflows import start_session
+from palpate.studio.live.live_page import facts_html, head_html, live_address
+from palpate.studio.live.start_desk import StartDesk
 
 
 def reading(value=3.2, half=0.4, valid=True, why="", unit="N", limits=(0.0, 20.0)):
@@ -102,16 +79,6 @@ def test_each_frame_is_kept_once_and_for_the_seconds_that_are_plotted():
     assert sensor.samples[0].at_s >= 100.0 + 9.9 - 1.0
     sensor.listen(1e6)
     assert not sensor.samples
-
-
-def test_a_frame_that_is_not_read_anew_draws_no_line_beside_a_force_that_goes_on():
-    connection = MadeUpConnection()
-    sensor = LiveSensor("live x", connection)
-    for k in range(20):
-        connection.status = told(k, 0.0, force_N=1.0)
-        sensor.listen(100.0 + 0.1 * k)
-    assert [bool(one.readings) for one in sensor.samples] == [True] + 19 * [False]
-    assert [one.force_n for one in sensor.samples] == 20 * [1.0]
 
 
 def test_a_sensor_that_says_nothing_grows_old():
@@ -172,14 +139,6 @@ def test_no_other_process_than_a_live_sensors_is_addressed(name):
     assert (processes.made[name].asked, processes.launched) == ([], [])
 
 
-def test_looking_for_a_sensor_that_does_not_run_takes_no_place():
-    with LiveDesk(MadeUpProcesses()) as desk:
-        for k in range(3 * MAX_SENSORS):
-            assert desk.listened(f"live {k}") is None
-            assert desk.sensor(f"live {k}") is None
-        assert desk.names == []
-
-
 def samples(values, valid=True, step_s=0.1):
     return [
         LiveSample(50.0 + step_s * k, k, {"force_N": reading(v, valid=valid)}, None)
@@ -203,32 +162,6 @@ def test_a_curve_rises_with_the_value_and_ends_now():
     assert "now, valid" in svg
 
 
-def test_what_is_not_valid_has_another_shape_and_no_interval():
-    svg = reading_svg(samples([1.0, 1.0], valid=False), "force_N", "N", now_s=50.1)
-    assert "<polygon" not in svg
-    assert "<polyline" not in svg
-    assert "not valid" in svg
-    assert svg.count("l5 5m-5 0l5 -5") == 2
-
-
-def test_no_line_is_drawn_over_a_gap():
-    both = samples([1.0, 1.0]) + [
-        LiveSample(58.0 + 0.1 * k, 9 + k, {"force_N": reading(1.0)}, None) for k in (0, 1)
-    ]
-    assert reading_svg(both, "force_N", "N", now_s=58.1).count("<polyline") == 2
-
-
-def test_the_force_sensor_beside_is_drawn_dashed_and_only_beside_newtons():
-    beside = [
-        LiveSample(50.0 + 0.1 * k, k, {"force_N": reading(1.0), "x_mm": reading(unit="mm")}, 2.0)
-        for k in range(3)
-    ]
-    assert reading_svg(beside, "force_N", "N", 50.2).count("stroke-dasharray") == 1
-    assert "sensor beside" in reading_svg(beside, "force_N", "N", 50.2)
-    assert "dashed" not in reading_svg(beside, "x_mm", "mm", 50.2).replace("stroke-dasharray", "")
-    assert "stroke-dasharray" not in reading_svg(beside, "x_mm", "mm", 50.2)
-
-
 def test_the_place_lies_where_it_was_read_and_is_nowhere_without_one():
     readings = {
         "x_mm": reading(5.0, 1.0, unit="mm", limits=(-10, 10)),
@@ -248,81 +181,6 @@ def test_the_place_lies_where_it_was_read_and_is_nowhere_without_one():
     assert "l2.000 0.000" in pushed  # half of the largest, a fifth of the width
 
 
-def test_a_value_says_its_interval_or_why_it_is_not_valid_in_words_and_shape():
-    good = values_html({"force_N": reading(-3.21, 0.4)}, {})
-    assert "−3.2" in good
-    assert "± 0.40" in good
-    assert "●" in good
-    bad = values_html({"force_N": reading(3.2, valid=False, why="beyond the <range>")}, {"force_N": 1.0})
-    assert "✕" in bad
-    assert "the &lt;range&gt" in bad
-    assert "±" not in bad
-    assert "1.00 N" in bad
-    assert "–" in values_html({"force_N": reading(None, valid=False, why="x")}, {})
-
-
-def test_a_share_and_the_touch_measure_are_named_in_plain_words_and_what_is_counted_has_no_interval():
-    shown = values_html(
-        {
-            "seen_ratio": reading(0.991, 0.0, unit="ratio"),
-            "gamma_ratio": reading(1.234, 0.12, unit="ratio"),
-            "force_N": reading(2.0, 0.0),
-        },
-        {},
-    )
-    assert ">marks seen</span><b>99" in shown
-    assert "measure γ</span><b>1.23" in shown
-    for quantity in ("seen", "gamma"):
-        assert f'title="{html.escape(NAMES[quantity][1])}"' in shown
-    assert "2.00 N</b>" in shown
-    assert shown.count("±") == 1
-    assert "ratio" not in re.sub("<[^>]*>", "", shown)
-    svg = reading_svg(samples([1.0]), "force_N", "N", 50.0, "push")
-    assert "push [N]" in svg
-    assert "push of" in svg
-
-
-def test_a_reason_is_said_once_for_all_values_that_it_holds_for():
-    readings = {
-        name: reading(None, valid=False, why=why, unit="mm")
-        for name, why in (("x_mm", "no contact"), ("y_mm", "no contact"), ("z_mm", "too <deep>"))
-    }
-    shown = values_html(readings, {})
-    rows, reasons = shown.split('<div class="reasons', 1)
-    assert rows.count("✕") == 3
-    assert "contact" not in rows
-    assert re.findall("<p><b>(.*?)</b>: (.*?)</p>", reasons) == [
-        ("x, y", "no contact"), ("z", "too &lt;deep&gt;"),
-    ]  # fmt: skip
-    assert values_html({}, {}) == ""
-
-
-def test_a_frame_without_readings_keeps_the_rows_of_those_before():
-    shown = values_html(unread({"force_N": reading(3.2), "x_mm": reading(1.0, unit="mm")}), {})
-    assert shown.count('<div class="value invalid">') == 2
-    assert shown.count("<b>–</b>") == 2
-    assert "not read" in shown
-    connection = MadeUpConnection()
-    card = SensorCard.__new__(SensorCard)
-    card.sensor, card._known, card._known_by, card._strained = (
-        LiveSensor("live x", connection),
-        {},
-        None,
-        None,
-    )
-    of = {"calibration": "cal-1"}
-    assert card._rows({"force_N": reading(1.0)}, of) == {"force_N": reading(1.0)}
-    assert card._rows({}, of)["force_N"]["value"] is None
-    assert card._rows({}, {"calibration": None}) == {}  # read by none any more
-    assert card._strain_of({"strain": None}) is None
-    assert card._strain_of({"strain": STRAIN}) == STRAIN
-    assert "be read" in strain_svg(card._strain_of({"strain": None}), (400, 300))
-    read = {"edge_degrees": reading(30.0, unit="degrees"), "slip": reading("no", 0, unit="")}
-    gone = {name: one | {"value": None if name != "slip" else ""} for name, one in read.items()}
-    counts = [card._plots_html(one, of).count("<svg") for one in (read, gone, unread(read))]
-    assert counts == [1, 1, 1]  # as many plots whether this frame has a value or not
-
-
 def test_states_rates_and_addresses_are_said_and_nothing_is_taken_for_markup():
     assert "no connection" in head_html("live <x>", None)
     assert "&lt;x&gt;" in head_html("live <x>", told(0, 0.0, state="lost", why="unplugged"))
@@ -338,37 +196,6 @@ def test_states_rates_and_addresses_are_said_and_nothing_is_taken_for_markup():
     assert overlay_svg(None, (400, 300)) == ""
 
 
-def test_every_sign_over_a_picture_stands_in_its_legend_with_a_shape_of_its_own():
-    marks = {"lines": [], "dots": [{"role": "mark", "at": [3, 4]}], "arrows": [], "arrow_times": 2.0}
-    region = {"dots": [{"role": "centre", "at": [3, 4]}], "lines": [{"role": "region", "points": [[1, 2]]}]}
-    assert (shows_marks(marks), shows_marks(region), shows_marks({})) == (True, False, False)
-    bare, marked = overlay_legend({}, marked=False), overlay_legend(marks, marked=True)
-    assert (bare.count("<li>"), marked.count("<li>")) == (2, 5)
-    assert all(word in bare for word in ("outline: where it differs", "cross or ring: the middle"))
-    assert all(
-        word in marked for word in ("has not moved", "moved, 2 times as long", "mean, 3 times as long")
-    )
-    shapes = re.findall(r"<svg.*?>(.*?)</svg>", marked)
-    uncoloured = {re.sub(r'(#\w+|stroke-width="[^"]*")', "", one) for one in shapes}
-    assert len(uncoloured) == 5, "told apart without colour"
-
-
-def test_lengths_and_angles_are_shown_in_mm_and_degrees_with_all_that_surrounds_them():
-    found = edge_readings(
-        {
-            "x_m": reading(0.011, 0.001, unit="m", limits=(-0.02, 0.02)),
-            "edge_rad": reading(None, valid=False, unit="rad", limits=(0.0, 3.141592653589793)),
-            "force_N": reading(1.0),
-        }
-    )
-    assert list(found) == ["x_mm", "edge_degrees", "force_N"]
-    x = found["x_mm"]
-    assert [x["value"], x["low"], x["high"], *x["range"]] == pytest.approx([11.0, 10.0, 12.0, -20.0, 20.0])
-    assert found["edge_degrees"]["value"] is None
-    assert found["edge_degrees"]["range"] == pytest.approx([0.0, 180.0])
-    assert found["force_N"] == reading(1.0)
-
-
 def arrows(moves, times=2.0):
     """An overlay of marks on a circle that moved so [px]."""
     at = [(100.0 + 50 * math.cos(k), 100.0 + 50 * math.sin(k)) for k in range(len(moves))]
@@ -377,140 +204,6 @@ def arrows(moves, times=2.0):
         for p, m in zip(at, moves, strict=True)
     ]
     return {"lines": [], "dots": [], "arrows": shapes, "arrow_times": times}
-
-
-def test_marks_pushed_to_one_side_have_a_motion_and_marks_spread_apart_have_none():
-    _, moved = lateral_motion(arrows([(3.0, -1.0)] * 12))
-    assert moved == pytest.approx((3.0, -1.0))
-    turns = [2 * math.pi * k / 12 for k in range(12)]
-    _, spread = lateral_motion(arrows([(4 * math.cos(a), 4 * math.sin(a)) for a in turns]))
-    assert spread == pytest.approx((0.0, 0.0), abs=1e-9)
-    assert lateral_motion(arrows([(3.0, 0.0)] * 3)) is None
-    assert lateral_motion(None) is None
-
-
-def test_a_contact_is_outlined_and_marks_have_arrows_over_the_picture():
-    outline = {"role": "region", "points": [[10, 10], [30, 10], [20, 30]]}
-    skin = {"role": "skin", "points": [[0, 0], [400, 0], [400, 300], [0, 300]]}
-    shapes = arrows([(3.0, 0.0)] * 5) | {
-        "lines": [skin, outline],
-        "dots": [{"role": "centre", "at": [20, 15]}],
-    }
-    svg = overlay_svg({"overlay": shapes, "centre_px": [20.0, 15.0]}, (400, 300))
-    assert svg.count('points="10.0,10.0 30.0,10.0 20.0,30.0"') == 2  # seen on dark pictures and bright ones
-    assert "400.0,0.0" not in svg
-    assert svg.count("<path") == 5 + 2 + 2  # arrows, the cross at the centre, the mean motion
-    assert "<circle" not in svg
-
-
-STRAIN = {"dots": [[10.0, 20.0, 0.4], [30.0, 20.0, 0.1]], "greatest": 0.4, "spacing_px": 20.0,
-          "contacts": [[10.0, 20.0]], "shift": None}  # fmt: skip
-
-
-def test_the_greater_the_shear_the_larger_its_dot_and_contacts_have_crosses():
-    svg = strain_svg(STRAIN, (400, 300))
-    large, small = (float(r) for r in re.findall(r'<circle [^>]*r="([\d.]+)"', svg))
-    assert large == pytest.approx(2 * small)  # by area, as 0.4 is to 0.1
-    assert "0.40, 1" in svg
-    assert svg.count("<path") == 1
-    moved = STRAIN | {"shift": {"start": [10, 20], "end": [40, 20], "times": 10.0, "mm": 0.2}}
-    assert strain_svg(moved, (400, 300)).count("<path") == 2
-    assert strain_svg(None, (400, 300)) == ""
-    unread = {"dots": [], "greatest": None, "spacing_px": 0.0, "contacts": [], "shift": None}
-    assert "be read" in strain_svg(unread, (400, 300))
-
-
-def pressed(number, valid=True, why="", **changed):
-    kappa = {"quantity": "stiffness", "value": 7.9, "low": 5.4, "high": 13.4, "unit": "N_per_mm"}
-    kappa |= {"valid": valid, "why": "" if valid else "beyond the <range>"}
-    readings = [] if why else [kappa]
-    return {"press": number, "readings": readings, "why": why, "frames": 31, "force_N": 4.9, **changed}
-
-
-def test_softness_is_told_of_each_press_with_its_interval_its_lamp_and_its_reason():
-    told = softness_html({"calibration": "c", "presses": [pressed(2), pressed(1, valid=False)], "why": ""})
-    assert "31 frames" in told
-    assert "N/mm" in told
-    assert "to 13.4)" in told or "to 13)" in told  # half its width would promise less above
-    assert "±" not in told
-    assert "●</i> valid" in told
-    assert "(not valid)" in told
-    doubtful = softness_html({"presses": [pressed(1, valid=False)]})
-    assert "not valid" in doubtful
-    assert "the &lt;range&gt" in doubtful
-    unread = softness_html({"presses": [pressed(1, why="press <more> slowly")]})
-    assert "not read" in unread
-    assert "&lt;more&gt; slowly" in unread
-    assert "No press" in softness_html({"presses": []})
-    assert "force sensor" in softness_html({"presses": [], "why": "no force sensor"})
-    assert softness_html(None) == ""
-
-
-COVERAGE = {
-    "edges_N": [0.0, 5.0, 10.0], "columns": ["left", "middle", "right"], "rows": ["top", "middle", "bottom"],
-    "counts": [[[1, 0], [0, 0], [0, 0]], [[0, 0], [2, 3], [0, 0]], [[0, 0], [0, 0], [0, 1]]],
-}  # fmt: skip
-
-
-def test_the_map_of_presses_says_how_many_and_how_hard_and_what_is_bare():
-    drawn = coverage_html(COVERAGE)
-    cells = re.findall(r'<td class="(\w+)">(.*?)</td>', drawn)
-    assert [kind for kind, _ in cells].count("bare") == 6
-    assert [cells[0][0], *re.findall(r"\d+", cells[0][1])] == ["pressed", "1", "5"]
-    assert [cells[4][0], *re.findall(r"\d+", cells[4][1])] == ["pressed", "5", "10"]
-    assert coverage_html({}) == ""
-    collect = {"text": "12 of 40, a gap", "touched": True, "holding": False, "force_N": -1.5, "refused": 2,
-               "last_refused": {"why": "<slipped>"}, "advice": "press"}  # fmt: skip
-    words = collected_html(collect)
-    assert all(part in words for part in (collect["text"], "hold still", "−1.50 N", "&lt;slipped&gt;"))
-
-
-def test_each_step_says_in_a_word_how_it_stands():
-    session = {
-        "camera": "virtual:palm",
-        "scale": "virtual",
-        "done": ["camera", "settings"],
-        "step": "untouched",
-    }
-    states = re.findall(r'data-state="([^"]+)"', steps_html(session, None))
-    assert states == ["done", "done", "waits", "to come", "to come", "to come"]
-    session |= {"done": ["camera", "settings", "untouched", "collect", "train"], "step": "live",
-                "trained": {"sentence": "errs by <0.2> N", "curve": {"text": "ten more"}}}  # fmt: skip
-    assert re.findall(r'data-state="([^"]+)"', steps_html(session, None)) == ["done"] * 5 + ["ready"]
-    unopened = {**session, "done": ["camera"], "step": "settings", "unopened": True, "trained": {}}
-    states = re.findall(r'data-state="([^"]+)"', steps_html(unopened, None))
-    assert states == ["waits", *["to come"] * 5], "a camera that never gave a frame is not chosen for good"
-    told = result_html(session)
-    assert "simulated" in told
-    assert "&lt;0.2&gt;" in told
-    assert "simulated" not in result_html(session | {"camera": "0"})
-
-
-class ShownRun(StartRun):
-    """A run as it is shown, without its process."""
-
-    running, at, step, done, total, collect = True, "", "begins", 0, 0, {}
-
-
-def test_steps_that_are_done_again_read_as_under_way_and_the_presses_as_being_collected():
-    """A session that was whole presses anew: nothing of it reads as done before it is."""
-    whole = {"camera": "0", "scale": "typed", "step": "live", "collected": {"text": "12 of 12"},
-             "done": ["camera", "settings", "untouched", "collect", "train"],
-             "trained": {"id": "5ecc2b88cbde"}}  # fmt: skip
-    run = object.__new__(ShownRun)
-    order = ["camera", "settings", "untouched", "collect", "train"]
-    for at in ("", *order[1:]):
-        run.at = at
-        told = steps_html(whole, run)
-        k = order.index(at or "camera")
-        states = re.findall(r'data-state="([^"]+)"', told)
-        assert states == ["done"] * k + ["under way"] + ["to come"] * (5 - k)
-        assert ("being collected" in told) == (at == "collect")
-        assert ("12 of" in told, "5ecc2b88cbde" in told) == (at == "train", at == "train")
-        assert "sees now" in caption_of(run) if at in order[1:4] else "last picture" in caption_of(run)
-    run.running = False
-    assert "last picture" in caption_of(run)
-    assert re.findall(r'data-state="([^"]+)"', steps_html(whole, run)) == ["done"] * 5 + ["ready"]
 
 
 SESSION = """
@@ -567,100 +260,6 @@ def test_a_session_is_heard_weighed_stopped_and_gone_on_with(starts, tmp_path):
     assert again.why == "too heavy"
     assert starts.run(folder) is again
     assert starts.run(tmp_path) is None
-
-
-def test_the_unit_of_a_scales_bare_numbers_goes_to_the_session(starts, tmp_path):
-    run = starts.begin(tmp_path / "mine", "0", "/dev/ttyUSB0", 12, unit="kg")
-    assert until(lambda: run.session)
-    assert run.session["args"][-2:] == ["--unit", "kg"]
-
-
-class WeighedError(Exception):
-    """The scale was read, which is all that a test wants."""
-
-
-class VoiceUntilWeighed(JobVoice):
-    """A session's voice that stops it once its scale has weighed."""
-
-    def say(self, line):
-        if line.get("collect", {}).get("force_N") is not None:
-            raise WeighedError
-
-
-def test_a_scale_that_prints_bare_numbers_weighs_by_the_unit_that_the_page_asks_for(tmp_path, monkeypatch):
-    monkeypatch.setattr(sys, "stdin", io.StringIO())
-    monkeypatch.setattr(start_session, "STILL_FRAMES", 4)
-    with FakeTerminal(HandScale(lambda _: 1.0)) as terminal:
-        words = Namespace(
-            folder=tmp_path / "mine", camera="virtual:tactip", scale=terminal.path,
-            presses=12, seed=0, real_time=False, more=0, unit="",
-        )  # fmt: skip
-        with refused("no-samples", DeviceError):
-            run_session(words, VoiceUntilWeighed())
-        assert set(UNITS) == {"", "g", "kg", "N", "oz", "lb"}
-        words.unit = "g"
-        with pytest.raises(WeighedError):
-            run_session(words, VoiceUntilWeighed())
-    assert kept_session(tmp_path / "mine")["unit"] == "g"
-
-
-def test_a_session_whose_other_scale_is_refused_is_shown_as_it_is_kept(tmp_path):
-    class Heard(JobVoice):
-        def say(self, line):
-            lines.append(line)
-
-    lines = []
-    kept = start_session.StartSession(tmp_path / "mine")
-    kept.choose("virtual:tactip", "virtual", asked=12)
-    kept._done("untouched")
-    words = Namespace(
-        folder=tmp_path / "mine", camera="virtual:tactip", scale=str(tmp_path / "no-port"),
-        presses=12, seed=0, real_time=False, more=0, unit="",
-    )  # fmt: skip
-    with pytest.raises(DeviceError):
-        run_session(words, Heard())
-    told = [line["session"] for line in lines if "session" in line]
-    assert (told[0]["scale"], told[0]["step"]) == (words.scale, "settings")
-    assert (told[-1]["scale"], told[-1]["step"]) == ("virtual", "collect")
-    assert kept_session(tmp_path / "mine") == told[-1]
-
-
-@pytest.mark.parametrize(
-    ("scale", "presses", "says", "opened"),
-    [
-        ("typed", 12, True, []),
-        ("virtual", 11, True, []),
-        ("virtual", 12, False, []),
-        ("virtual", 15, False, [15]),
-        ("typed", 15, False, [15]),
-    ],
-)
-def test_the_pages_number_of_presses_is_how_many_there_shall_be_in_all(
-    scale, presses, says, opened, tmp_path, monkeypatch
-):
-    class Heard(JobVoice):
-        def say(self, line):
-            lines.append(line)
-
-    def feed(session, **_):
-        asked.append(session.state.asked)
-        raise DeviceError("opened")
-
-    lines, asked = [], []
-    kept = start_session.StartSession(tmp_path / "mine")
-    kept.choose("virtual:tactip", "virtual", asked=12)
-    kept.state.settings = {"size_px": [8, 8], "rate_hz": 1.0}
-    kept._done("train")
-    monkeypatch.setattr(start_session.StartSession, "presses_held", property(lambda session: 12))
-    monkeypatch.setattr(start_session.StartSession, "commands", lambda session: [])
-    monkeypatch.setattr(start_session.StartSession, "feed", feed)
-    words = Namespace(folder=tmp_path / "mine", camera="virtual:tactip", scale=scale, presses=presses,
-                      seed=0, real_time=False, more=0, unit="")  # fmt: skip
-    with suppress(DeviceError):
-        run_session(words, Heard())
-    assert asked == opened
-    told = [line["said"] for line in lines if "said" in line]
-    assert ["12 presses" in one for one in told] == [True] * says
 
 
 def test_no_more_sessions_go_on_than_are_allowed_and_none_outlives_the_server(tmp_path):

@@ -1,7 +1,5 @@
 """A page opens devices, virtual sensors, and what lies in the workspace, and nothing else."""
 
-import os
-
 import pytest
 
 pytest.importorskip("nicegui", reason="NiceGUI is not installed")
@@ -10,7 +8,7 @@ from tests.studio.small_run import write_small_run
 
 from palpate.core import InputError
 from palpate.studio.library.workspace import OutsideError, Workspace
-from palpate.studio.live.page_sources import check_devices, is_device, source_options
+from palpate.studio.live.page_sources import check_devices, source_options
 
 SERIAL = "9A3F21"
 
@@ -55,13 +53,6 @@ def test_nothing_else_is_opened(workspace, tmp_path, source):
         source_options(workspace, source.format(outside=tmp_path / "outside"), cameras)
 
 
-@pytest.mark.skipif(os.name != "posix", reason="device files are POSIX")
-def test_a_file_that_is_named_as_a_camera_is_none(monkeypatch, tmp_path):
-    assert not is_device("/dev/video-of-mine", cameras)
-    assert not is_device("/dev/shm/../../etc/passwd", cameras)
-    assert not is_device("/dev/zero", cameras)  # a device, but no camera
-
-
 @pytest.mark.parametrize("scale", ["virtual", "typed", "FT4S9X", "COM3"])
 def test_a_first_session_takes_scales_by_name(scale):
     check_devices("virtual:palm", scale, cameras)
@@ -75,13 +66,3 @@ def test_a_first_session_takes_scales_by_name(scale):
 def test_a_first_session_opens_no_file_and_no_network_address(camera, scale):
     with pytest.raises(InputError):
         check_devices(camera, scale, cameras)
-
-
-@pytest.mark.skipif(os.name != "posix", reason="pseudo-terminals are POSIX")
-def test_a_pseudo_terminal_is_a_port():
-    ours, theirs = os.openpty()
-    try:
-        check_devices("0", os.ttyname(theirs), cameras)
-    finally:
-        os.close(ours)
-        os.close(theirs)

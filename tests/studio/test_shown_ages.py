@@ -15,7 +15,7 @@ pytest.importorskip("websockets", reason="websockets is not installed")
 from tests.studio.test_page_security import Served
 
 from palpate.rig.service import RigService, open_served_rig
-from palpate.studio.shown_ages import MAX_FRESH_S, MAX_SILENT_S, PARTS, ages_at, ages_attribute
+from palpate.studio.shown_ages import MAX_FRESH_S, MAX_SILENT_S, PARTS, ages_at
 
 MAX_S = 60.0
 
@@ -28,11 +28,6 @@ def test_an_age_is_what_was_told_and_the_time_since():
     assert ages_at(100.0, at_rest, 96.0)["engine"] == 4.0  # of a rig that records nothing, its process's
     assert ages_at(100.0, None, 96.0)["process"] == 4.0
     assert set(ages_at(100.0, None, None).values()) == {None}
-
-
-def test_no_two_beats_are_alike():
-    ages = ages_at(0.0, None, None)
-    assert ages_attribute(ages, 1) != ages_attribute(ages, 2)
 
 
 class FreezingStage:
@@ -127,25 +122,6 @@ def seconds(text):
 
 
 @pytest.mark.slow
-def test_what_is_told_as_old_is_marked_and_says_its_age_and_the_rest_is_not(browser, served):
-    tab = opened(browser, served)
-    old = {"force": 12.3, "position": 0.1, "camera": 75.2, "engine": None}
-    served.tell(json.dumps({"ages_s": old}))
-    tab.wait(f"{STALE}.includes('force-now')")
-    assert set(tab.run(STALE)) == {"force-now", "force", "camera"}  # devices' lines go by the part's name
-    assert set(tab.run(OLD)) == {"force 12 s old", "12 s old", "picture 1 min 15 s old", "1 min 15 s old"}
-    struck = "getComputedStyle(document.querySelector('#force-now b')).textDecorationLine"
-    assert tab.run(struck) == "line-through"
-    said = "document.querySelector('#ages-said').textContent"
-    assert tab.run(said) == "force: old, not of now"
-    assert tab.run(SILENCE) == ""
-    served.tell(json.dumps(AT_ONCE))
-    tab.wait(f"{STALE}.length === 0 && {OLD}.length === 0")
-    assert tab.run(said) == "force: current again"
-    assert tab.run(struck) == "none"
-
-
-@pytest.mark.slow
 def test_a_silent_engine_process_or_server_ages_all_that_is_shown_and_is_named(browser, served):
     tab = opened(browser, served)
     recording = {"recording": True, "state": "running", "message": "p1, cycle 0: depth", "shots": 3}
@@ -175,13 +151,3 @@ def test_a_silent_engine_process_or_server_ages_all_that_is_shown_and_is_named(b
     assert set(tab.run(STALE)) >= ALL_SHOWN
     os.kill(served.process.pid, signal.SIGCONT)
     tab.wait(f"{SILENCE} === '' && {STALE}.length === 0", 30)
-
-
-@pytest.mark.slow
-def test_a_process_that_is_gone_leaves_no_number_that_looks_current(browser, served):
-    tab = opened(browser, served)
-    served.tell("null")
-    tab.wait(f'{SILENCE}.startsWith("The rig\'s process says nothing.")')
-    assert set(tab.run(STALE)) >= ALL_SHOWN
-    assert tab.run("document.querySelector('#state').innerText") == "no connection"
-    assert "be reached" in tab.run("document.querySelector('#failure').textContent")

@@ -1,7 +1,5 @@
 """What is simulated says so on every page that shows it, and what was measured does not."""
 
-import shutil
-
 import numpy as np
 import pytest
 
@@ -37,15 +35,6 @@ def test_each_simulated_run_of_the_list_is_called_so_and_no_measured_one(two_run
         "pressed-by-hand": False,
         "virtual-palm": True,
     }
-
-
-def test_a_run_that_cannot_be_opened_is_not_called_simulated(two_runs) -> None:
-    (two_runs.folder / "virtual-palm" / "manifest.json").write_text("{")
-    for one in (two_runs.folder / "virtual-palm").glob("*.mcap"):
-        one.unlink()
-    found = two_runs.summary("virtual-palm")
-    assert found.state == "damaged"
-    assert BADGE not in runs_table([found])
 
 
 @pytest.mark.parametrize("simulated", [True, False])
@@ -101,10 +90,3 @@ def test_a_calibration_of_presses_that_its_session_calls_useless_is_called_unsur
         assert ("surely better" in found) == useless
     by_session = card.split.model_copy(update={"columns": ("session",)})
     assert not calibrated.is_useless("untold", card.model_copy(update={"split": by_session}))
-
-
-def test_of_a_calibration_whose_predictions_were_altered_nothing_is_said(calibrated, tmp_path) -> None:
-    shutil.copytree(calibrated.folder / "untold", tmp_path / "untold")
-    (tmp_path / "untold" / "predictions.csv.gz").write_bytes(b"")
-    altered = Workspace(tmp_path)
-    assert not altered.is_useless("untold", altered.card("untold"))

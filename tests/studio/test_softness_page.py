@@ -20,11 +20,10 @@ from tests.studio import devtools
 from tests.studio.test_page_security import Served
 
 from palpate.core import InputError
-from palpate.softness import Characteristic, ConeDisplay, DisplayBounds, Mode, RenderingLaw, SoftObject
+from palpate.softness import Mode, RenderingLaw
 from palpate.softness.control import LoopSample
 from palpate.softness.process import RenderingStatus, read_bench
-from palpate.studio import softness_drawing
-from palpate.studio.rendering_desk import RenderingDesk, age_s
+from palpate.studio.rendering_desk import RenderingDesk
 from palpate.studio.softness_page import no_object_html
 
 LINE = """
@@ -36,10 +35,6 @@ force_N = [0.0, 4.0]
 displacement_mm = [0.0, 6.0]
 force_N = [0.0, 4.0]
 """
-SOFT = SoftObject(
-    "line", Characteristic("area", np.array([0.0, 200e-6]), np.array([0.0, 8.0])),
-    Characteristic("displacement", np.array([0.0, 6e-3]), np.array([0.0, 8.0])), "made up",
-)  # fmt: skip
 
 
 def felt(time_s: float, force_n: float, touched: bool = True) -> LoopSample:
@@ -103,22 +98,6 @@ def test_another_object_is_shown_in_the_rendering_that_runs_and_another_mode_is_
     assert desk.status.mode is Mode.CUTANEOUS
 
 
-def test_samples_of_the_last_seconds_are_kept_for_every_tab(desk) -> None:
-    assert desk.samples() == []
-    desk.begin("one", Mode.BOTH, 1.0, 1.0)
-    times = [one.time_s for one in desk.samples()]
-    assert times[0] == pytest.approx(30.0 - 10.0, abs=0.11)
-    assert times[-1] == pytest.approx(29.9)
-
-
-def test_a_process_that_tells_nothing_grows_old_and_one_that_ended_does_not(desk) -> None:
-    assert age_s(desk, 1e9) == 0.0
-    desk.begin("one", Mode.BOTH, 1.0, 1.0)
-    assert age_s(desk, desk._session.told_s + 3.0) == pytest.approx(3.0)
-    desk.end()
-    assert age_s(desk, 1e9) == 0.0
-
-
 def circles(svg: str) -> list[tuple[float, float]]:
     return [(float(x), float(y)) for x, y in re.findall(r'<circle cx="([\d.]+)" cy="([\d.]+)"', svg)]
 
@@ -126,53 +105,6 @@ def circles(svg: str) -> list[tuple[float, float]]:
 def polyline(svg: str) -> list[tuple[float, float]]:
     points = re.search(r'<polyline points="([^"]+)"', svg).group(1)
     return [tuple(map(float, one.split(","))) for one in points.split()]
-
-
-def test_what_is_felt_as_the_object_is_lies_on_its_curve_in_both_drawings() -> None:
-    law = RenderingLaw(SOFT, ConeDisplay(), DisplayBounds())
-    base_n = 8.0 * np.pi * 6.5**2 / 200
-    assert softness_drawing.shown_n(law) == pytest.approx(base_n)
-    right = softness_drawing.WIDTH - softness_drawing.RIGHT
-    for svg, sample in (
-        (softness_drawing.area_svg(law, [felt(0.0, 2.0)]), 2.0),
-        (softness_drawing.displacement_svg(law, [felt(0.0, 8.0)]), 8.0),
-    ):
-        line = polyline(svg)
-        assert line[-1][0] == pytest.approx(right, abs=0.1)
-        (dot,) = circles(svg)
-        if sample < base_n:
-            expected = line[0][1] + (sample / base_n) * (line[-1][1] - line[0][1])
-            assert dot[1] == pytest.approx(expected, abs=0.2)
-            at_dot = line[0][0] + (sample / base_n) * (line[-1][0] - line[0][0])
-            assert dot[0] == pytest.approx(at_dot, abs=25 * 2.0 + 1)  # its area, 50 of 132.7 mm^2
-        else:
-            assert dot[1] == pytest.approx(line[-1][1], abs=0.1), "held inside the frame"
-
-
-def test_an_air_sample_and_a_cue_that_is_not_rendered_are_no_points() -> None:
-    air = [felt(0.0, 1.0, touched=False)]
-    for mode, draw in (
-        (Mode.CUTANEOUS, softness_drawing.displacement_svg),
-        (Mode.KINESTHETIC, softness_drawing.area_svg),
-    ):
-        law = RenderingLaw(SOFT, mode=mode)
-        svg = draw(law, [felt(0.0, 1.0)])
-        assert circles(svg) == []
-        assert "not rendered" in svg
-    assert circles(softness_drawing.area_svg(RenderingLaw(SOFT), air)) == []
-
-
-def test_what_cannot_be_rendered_is_said_in_words_from_0_to_the_base() -> None:
-    weak = RenderingLaw(SOFT, bounds=DisplayBounds(pressure_pa=45e3))
-    stiff = SoftObject(
-        "stiff", Characteristic("area", np.array([0.0, 50e-6, 200e-6]), np.array([0.0, 1.0, 14.0])),
-        SOFT.displacement, "made up",
-    )  # fmt: skip
-    words = softness_drawing.envelope_words(RenderingLaw(stiff, bounds=weak.bounds))
-    assert "rendered as" in words[0]
-    assert "more pressure" in words[-1]
-    assert words[0].startswith("0.0 to ")
-    assert "132.7 mm²" in words[-1]
 
 
 @pytest.mark.skipif(os.name == "nt", reason="the command is one of a POSIX shell")
@@ -200,15 +132,6 @@ def served(tmp_path_factory):
         served = Served()
     yield served
     served.close()
-
-
-def test_the_served_page_begins_with_the_emergency_stop_and_leads_to_the_rig(served) -> None:
-    text = served.ask("GET", "/softness")[2]
-    assert 'id="estop"' in text
-    assert "<title>Softness" in text
-    first = re.search(r"<(button|a|input|select)\b[^>]*>", text).group(0)
-    assert 'id="estop"' in first
-    assert 'href="/rig"' in text
 
 
 STATE = "document.querySelector('#state')?.innerText"
@@ -246,28 +169,3 @@ def test_a_rendering_begun_on_the_page_is_seen_after_a_reload_and_ended_by_the_s
         assert tab.said == []
     finally:
         browser.close()
-
-
-@pytest.mark.slow
-def test_no_card_is_empty_before_anything_is_rendered(tmp_path, monkeypatch) -> None:
-    if devtools.chromium() is None:
-        pytest.skip("there is no Chromium to drive")
-    (tmp_path / "objects").mkdir()
-    monkeypatch.setenv("OBJECTS", str(tmp_path / "objects"))
-    served, browser = Served(), devtools.Browser(tmp_path / "profile")
-    try:
-        tab = browser.open(served.url("/softness"))
-        tab.wait(f"!!document.querySelector('#beat') && {LIVE}")
-        assert "soft-ball.toml" in tab.run("document.querySelector('#refused').innerText")
-        for part in ("#skin", "#force-now", "#envelope"):
-            assert "object yet" in tab.run(f"document.querySelector('{part}').innerText")
-        assert tab.run("document.querySelector('#begin').disabled")
-        (tmp_path / "objects" / "line.toml").write_text(LINE.format(name="line"))
-        tab.run("document.querySelector('#again').click()")
-        tab.wait("document.querySelector('#skin').innerText.includes('choose an object and begin')")
-        assert tab.run("document.querySelector('#refused').innerText") == ""
-        assert not tab.run("document.querySelector('#begin').disabled")
-        assert tab.said == []
-    finally:
-        browser.close()
-        served.close()

@@ -13,7 +13,6 @@ from tests.studio.test_page_security import Served
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 MOVES = json.dumps({"recording": True, "state": "running", "message": "p1, cycle 0: depth"})
-RESTS = json.dumps({})
 SHOWN = "!document.querySelector('#estop').hidden"
 DONE = "!document.querySelector('#estop-done').hidden"
 FAILED = "!document.querySelector('#estop-failed').hidden"
@@ -61,17 +60,6 @@ def test_escape_stops_what_moves_whatever_has_the_focus(browser, served, focus):
     assert 0 <= float(tab.run("document.querySelector('#estop-done').dataset.ms")) < 2000
     assert not tab.run(FAILED)
     assert tab.said == []
-
-
-def test_escape_in_an_open_dialog_stops_what_moves(browser, served):
-    served.tell(json.dumps({"held": True, "state": "e-stopped"}))
-    tab = opened(browser, served, "/rig")
-    tab.wait("document.querySelector('#held').checkVisibility()")
-    into_dialog(tab)
-    served.tell(MOVES)
-    tab.wait(MOVING)
-    tab.key("Escape", 27)
-    assert served.process.stdout.readline().strip() == "estop"
 
 
 def test_escape_at_rest_closes_a_menu_and_a_dialog_and_stops_nothing(browser, served):

@@ -10,7 +10,6 @@ import sys
 import threading
 import time
 from contextlib import suppress
-from pathlib import Path
 
 import pytest
 
@@ -206,23 +205,6 @@ def test_a_stop_that_reaches_nothing_fails(listener, rig):
     assert listener.ask("stop-moving")["moving"] is False
 
 
-def test_a_rig_that_is_started_anew_is_reached_at_once(listener, tmp_path):
-    first = Rig(tmp_path)
-    reached(listener, RIG)
-    first.close()
-    second = Rig(tmp_path)
-    try:
-        assert listener.ask("stop")["ok"]  # also before the listener has looked for it
-        assert (first.stops, second.stops) == (0, 1)
-    finally:
-        second.close()
-
-
-def test_the_listener_is_not_counted_among_those_that_use_a_rig(listener, rig):
-    reached(listener, RIG)
-    until(lambda: all(client.leaves for client in rig.server._clients))
-
-
 @pytest.mark.parametrize("token", ["", "x", None])
 def test_nobody_without_the_token_stops_or_sees_anything(listener, rig, token):
     reached(listener, RIG)
@@ -337,11 +319,3 @@ def test_processes_belong_to_a_workspace_and_are_found_by_their_name_alone(tmp_p
         assert find(RIG) == find(RIG, one)
     finally:
         rig.close()
-
-
-def test_targets_are_the_rig_its_supervisor_and_the_bench(tmp_path):
-    targets = rig_targets(RIG, BENCH, tmp_path)
-    assert {name: len(paths) for name, paths in targets.items()} == {RIG: 2, BENCH: 1}
-    assert all(
-        isinstance(path, Path) and path.parent == tmp_path for paths in targets.values() for path in paths
-    )

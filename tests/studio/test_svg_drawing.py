@@ -34,29 +34,6 @@ def test_the_clearance_is_what_is_left_between_the_probe_and_the_rim():
     assert status_text.clearance_mm(plan) == pytest.approx(0.0)
 
 
-def test_on_a_rectangle_the_clearance_is_to_its_nearest_side_and_it_is_drawn_as_one():
-    # Of 50 by 38 mm: 19 mm up to the long side, of which the probe takes 5 and the place 10.
-    corners = [[-25, -19], [25, -19], [25, 19], [-25, 19]]
-    where = {"kind": "listed", "at_mm": [[0.0, 10.0]], "layer_mm": 62.8, "corners_mm": corners}
-    plan = plan_from({"places": {**where, "probe_mm": 10.0}})
-    assert status_text.clearance_mm(plan) == pytest.approx(4.0)
-    svg = parsed(svg_drawing.grid_svg(plan.places.places(), plan.places.outline, 10.0))
-    points = [
-        tuple(map(float, point.split(","))) for point in svg.find(f"{SVG}polygon").get("points").split()
-    ]
-    assert points == [tuple(map(float, corner)) for corner in corners]
-
-
-def test_places_beyond_the_rim_are_drawn_whole_and_said_to_be_there():
-    plan = PLANS["layer"]
-    svg = parsed(svg_drawing.grid_svg(plan.places.places(), PALM, 10.0))
-    x, _, width, _ = (float(word) for word in svg.get("viewBox").split())
-    assert x <= -(28.5 + 2 + 5)
-    assert x + width >= 28.5 + 2 + 5
-    assert "7.00 mm" in status_text.clearance(plan)
-    assert "1.36 mm" in status_text.clearance(PLANS["palm"])
-
-
 def test_a_name_cannot_become_markup():
     from palpate.rig.plans import Place
 
@@ -83,11 +60,6 @@ def test_the_force_stays_inside_its_axes_whatever_its_size(scale):
             assert svg_drawing.TOP - 0.1 <= y <= svg_drawing.HEIGHT - svg_drawing.BOTTOM + 0.1
 
 
-def test_no_force_yet_is_drawn_as_empty_axes():
-    text = svg_drawing.force_svg({"age_s": [], "x": [], "y": [], "z": []})
-    assert parsed(text) is not None
-
-
 def test_places_are_done_in_the_plans_own_order():
     plan = plan_from(
         {"cycles": 2, "order": "rounds", "places": {"kind": "listed", "at_mm": [[0, 0], [9, 0]]}}
@@ -97,19 +69,6 @@ def test_places_are_done_in_the_plans_own_order():
     assert status_text.done_by_place(plan, a_press) == {"l0": 0.5, "l1": 0.0}
     assert status_text.done_by_place(plan, 2 * a_press - 1) == {"l0": 0.5, "l1": 0.0}
     assert status_text.done_by_place(plan, 4 * a_press) == {"l0": 1.0, "l1": 1.0}
-
-
-def test_durations_and_numbers_are_said_as_people_do():
-    said = [status_text.duration(s).split() for s in (None, 7.4, 200, 7325)]
-    assert said == [["–"], ["7", "s"], ["3", "min", "20", "s"], ["2", "h", "02", "min"]]
-    assert [status_text.number(v, 2) for v in (-0.001, 0.0, -1.236)] == ["0.00", "0.00", "−1.24"]
-
-
-def test_the_pages_wear_the_reports_colours():
-    from palpate.reports import calibration_figures
-
-    for name in ("INK", "ACCENT", "BAND", "BAD"):
-        assert getattr(page_style, name) == getattr(calibration_figures, name)
 
 
 def test_nothing_on_the_page_comes_from_elsewhere():

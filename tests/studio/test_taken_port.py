@@ -34,12 +34,3 @@ def test_an_address_of_another_computer_and_a_port_of_the_systems_own_are_told_a
         check_port(8080, "192.0.2.1")
     assert "--port 8080" in _no_port_text(80, "127.0.0.1", OSError(errno.EACCES, "Permission denied"))
     assert "--port 8080" in _no_port_text(65535, "::1", OSError(errno.EADDRINUSE, "in use"))
-
-
-@pytest.mark.parametrize("words", [["studio", "--workspace", "{}"], ["start", "--folder", "{}/mine"]])
-def test_a_source_tree_is_refused_as_a_workspace_before_anything_is_started(words, tmp_path):
-    (tmp_path / "pyproject.toml").write_text('name = "palpate"\n')
-    done = CliRunner().invoke(app, [word.format(tmp_path) for word in words])
-    assert done.exit_code == 2
-    assert str(tmp_path) in "".join(done.output.split())
-    assert [one.name for one in tmp_path.iterdir()] == ["pyproject.toml"]

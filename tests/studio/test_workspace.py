@@ -3,7 +3,6 @@
 import asyncio
 import json
 import os
-import re
 
 import cv2
 import numpy as np
@@ -17,12 +16,9 @@ from tests.refusals import refused
 from tests.studio.small_run import write_small_run
 
 from palpate.core import InputError, PalpateError
-from palpate.recordings.run_notes import RunNote
-from palpate.recordings.splits import split
-from palpate.studio.library import run_drawing
 from palpate.studio.library.background_jobs import BackgroundJobs
 from palpate.studio.library.file_routes import MAX_PX, SHEET_POLICY, add_library_routes
-from palpate.studio.library.workspace import MAX_DEPTH, OutsideError, SourceTreeError, Workspace
+from palpate.studio.library.workspace import OutsideError, SourceTreeError, Workspace
 
 
 @pytest.fixture
@@ -51,12 +47,6 @@ def client(workspace):
     with BackgroundJobs() as jobs:
         add_library_routes(app, workspace, jobs)
         yield Asked(app)
-
-
-def test_a_file_is_no_workspace(tmp_path):
-    (tmp_path / "taps.avi").touch()
-    with refused("not-a-folder", InputError, match=r"taps\.avi"):
-        Workspace(tmp_path / "taps.avi")
 
 
 def test_a_run_is_listed_with_its_frames_its_length_its_labels_and_its_state(workspace):
@@ -132,24 +122,6 @@ def test_a_source_tree_of_this_package_is_no_workspace(tmp_path, below):
     Workspace(tmp_path / "elsewhere")
 
 
-def test_what_lies_too_deep_or_is_hidden_is_not_listed(workspace):
-    deep = workspace.folder.joinpath(*(f"d{i}" for i in range(MAX_DEPTH)))
-    write_small_run(deep / "run")
-    write_small_run(workspace.folder / ".hidden" / "run")
-    assert workspace.found("run") == ["runs/one"]
-    write_small_run(deep.parent / "run")
-    assert len(workspace.found("run")) == 2
-
-
-def test_a_run_that_has_grown_is_opened_anew(workspace):
-    assert len(workspace.run("runs/one")) == 30
-    kept = workspace.run("runs/one")
-    assert workspace.run("runs/one") is kept
-    for one in (workspace.folder / "runs/one").iterdir():
-        os.utime(one)
-    assert workspace.run("runs/one") is not kept
-
-
 def test_a_frame_is_served_as_it_was_recorded_by_its_number(client):
     answer = client.get("/run/frame", params={"run": "runs/one", "index": 7, "px": 960})
     assert (answer.status_code, answer.headers["content-type"]) == (200, "image/jpeg")
@@ -198,38 +170,6 @@ def test_a_page_that_a_job_wrote_runs_no_script(workspace, client):
     assert client.get("/sheet/1").status_code == 404
     assert "sandbox" in SHEET_POLICY
     assert "script" not in SHEET_POLICY
-
-
-def test_a_curve_keeps_its_peak_and_marks_each_note(workspace):
-    run = workspace.run("runs/one")
-    curve = run_drawing.curve_of(run)
-    assert curve.unit == "N"
-    assert curve.values.max() == pytest.approx(9.0)
-    many = run_drawing.RecordedCurve("x", "N", np.arange(10_000.0), np.zeros(10_000), 1e4)
-    many.values[4321] = 7.0
-    assert run_drawing._binned(many)[1].max() == 7.0
-    svg = run_drawing.curve_svg(curve, [RunNote(1.0, "<slip>", "")])
-    assert "&lt;slip&gt;" in svg
-    assert "<slip>" not in svg
-    assert "9.00 N" in svg
-
-
-def test_the_bars_of_all_folds_hold_out_each_frame_once(workspace):
-    run = workspace.run("runs/one")
-    found = split(run.labels, "group:press", folds=3)
-    stretches = [one for fold in found.folds for one in run_drawing._stretches(np.sort(fold))]
-    assert sorted(stretches) == [(0, 10), (10, 20), (20, 30)]
-    assert run_drawing.split_svg(found, 30).count('<path d="M') >= 6
-    assert run_drawing._stretches(np.array([0, 1, 3])) == [(0, 2), (3, 4)]
-
-
-def test_labels_are_told_by_their_range(workspace):
-    told = run_drawing.label_ranges(workspace.run("runs/one"))
-    assert {name: re.findall(r"\d+", text) for name, text in told.items()} == {
-        "force_N": ["0", "9"],
-        "press": ["3"],
-        "reference": ["2"],
-    }
 
 
 def test_a_calibration_that_is_none_says_so(workspace):

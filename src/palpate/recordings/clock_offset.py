@@ -1,9 +1,7 @@
-"""Offset of the frames' clock from the force sensor's, from taps that both have recorded.
+"""Offset between the clocks of frames and force sensor, from taps that both have recorded.
 
-A tap presses the skin and lets go. How much a frame differs from the untouched skin goes with the force at
-its time, by some law; so the offset is where the frames' signal is best explained by the force, shifted.
-Neither the signal's unit nor its law has to be known, only that it depends on the force of that instant.
-Where it lags behind the force, as creep makes it, the offset is late by that lag: both look the same.
+The difference of a frame from the no-contact image depends on the force at its time, by an unknown law. The
+offset is the shift of the force that explains the signal best. A lag of the signal (creep) adds to it.
 """
 
 from __future__ import annotations
@@ -38,16 +36,15 @@ MAX_GAP_S = 0.05  # between samples, across which a value is believed
 
 @dataclass(frozen=True, slots=True)
 class Offset:
-    """Offset to add to a force sample's time to have it on the frames' clock.
+    """Offset to add to the time of a force sample to obtain the frames' clock.
 
     Attributes:
-        seconds: the offset [s]; positive where frames are stamped later than the force they show.
-        low_s, high_s: its interval, at 95 % [s].
-        jitter_s: how far a single frame's stamp lies from where the force says, standard deviation [s]; noise
-            of both signals is in it, so the stamps themselves jitter by this at most.
-        taps: how many were seen.
-        frames: on their flanks, which the offset is known from.
-        explained: of the signal's variance, by the force at that offset, 0 to 1.
+        seconds: Offset; positive if frames are stamped later than the force they show [s].
+        low_s, high_s: Interval at 95 % [s].
+        jitter_s: Upper bound of the standard deviation of a frame's stamp [s].
+        taps: Number of detected taps.
+        frames: Number of frames on the flanks of taps.
+        explained: Fraction of the signal's variance explained by the force.
     """
 
     seconds: float
@@ -68,25 +65,18 @@ def offset_between(
     exposure_s: float = 0.0,
     most_s: float = 0.5,
 ) -> Offset:
-    """The clock offset between force samples and frames.
+    """Estimate the clock offset between force samples and frames.
 
-    At each trial offset the signal is fitted by a + b sqrt(F + s) + c F + d F^2 of the mean force F over
-    the exposure; the best offset leaves the least squares. Its interval is that of the sandwich estimator,
-    with the small-sample correction of MacKinnon and White (HC3) and Student's t: frames may scatter more on
-    the flanks, as jitter makes them.
+    At each trial offset the signal is fitted by a + b sqrt(F + s) + c F + d F^2 of the mean force F over the
+    exposure. The interval uses the sandwich estimator with HC3 correction and Student's t, since jitter
+    scatters frames more on the flanks.
 
     Args:
-        force_t: times of force samples, increasing [s].
-        force: normal force, positive in compression [N].
-        frame_t: the ends of the frames' exposures, increasing [s].
-        change: how much each frame differs from the untouched skin; any unit.
-        exposure_s: of a frame [s].
-        most_s: the offset looked for, to either side [s].
-
-    Raises:
-        InputError: series of different lengths, not finite, times that do not increase, or too short.
-        RangeError: no tap stands out, too few frames see one, the signal does not follow the force, or
-            several offsets explain it alike.
+        force_t: Times of force samples, increasing [s].
+        force: Normal force, positive in compression [N].
+        frame_t: Ends of the exposures, increasing [s].
+        change: Difference of each frame from the no-contact image; any unit.
+        most_s: Largest offset searched, in either direction [s].
 
     Reference:
         MacKinnon & White, J. Econometrics 29 (1985) 305, doi:10.1016/0304-4076(85)90158-7.
@@ -118,23 +108,17 @@ def mean_over_exposures(
     offset_s: float,
     most_gap_s: float = MAX_GAP_S,
 ) -> Series:
-    """Mean over each frame's exposure of what was sampled at times of its own, such as force or depth.
+    """Return the mean of a sampled quantity over each frame's exposure.
 
-    Between two samples the value is taken to go straight. With a period T of the samples that errs by
-    T^2/8 max|F''| at most, and an offset that is wrong by e by e max|F'| more; the nearest sample alone would
-    err by T/2 max|F'|.
+    Samples are interpolated linearly: with the sample period T the error is at most T^2/8 max|F''|, and an
+    offset error e adds e max|F'|.
 
     Args:
-        sample_t: times of the samples, increasing [s].
-        values: of them, in any unit.
-        frame_t: the ends of the frames' exposures, as the frames are stamped, increasing [s].
-        exposure_s: of a frame [s].
-        offset_s: by which frames are stamped later than samples, `Offset.seconds` [s].
-        most_gap_s: longest time between two samples across which a value is believed [s].
-
-    Raises:
-        InputError: series of different lengths, not finite, times that do not increase, or too short.
-        RangeError: a frame lies outside the samples' time, or in a gap of it.
+        sample_t: Times of the samples, increasing [s].
+        values: Samples, in any unit.
+        frame_t: Ends of the exposures by the frames' stamps, increasing [s].
+        offset_s: Delay of frame stamps after sample stamps, `Offset.seconds` [s].
+        most_gap_s: Longest time between samples that is bridged [s].
 
     Example:
         >>> t = np.arange(0.0, 2.0, 0.008)  # 125 Hz

@@ -39,10 +39,9 @@ class ChannelReport:
     """Report on one channel of a run.
 
     Attributes:
-        count: how many messages can be read.
-        rate_Hz: messages a second within the segments; None below two messages, or where times are ordinal.
-        longest_gap_s: longest time between two messages of one segment [s]; None likewise.
-        dropped: how many the writer had to drop, as it recorded.
+        rate_Hz: Message rate within segments; None below two messages or for ordinal times.
+        longest_gap_s: Longest time between messages of one segment; None likewise [s].
+        dropped: Number of messages that the writer dropped.
     """
 
     count: int
@@ -53,24 +52,19 @@ class ChannelReport:
 
 @dataclass(frozen=True, slots=True)
 class CheckReport:
-    """Report on what a run holds and whether it can be relied on.
+    """Report on the content and integrity of a run.
 
     Attributes:
-        path, run_id, sensor: which run.
-        frames: how many can be read.
-        duration_s: recorded time, pauses between segments left out [s]; None where times are ordinal.
-        channels: by name, frames among them.
-        drops: how many messages the writer dropped, by channel; only channels that did.
-        segments: how many.
-        labels: column -> unit symbol; None for a number without a unit, a text or a flag.
-        missing_labels: column -> how many frames lack it; only columns that some lack.
-        duplicated_frames: how many frames equal the one before, as of a camera that froze.
-        orphan_frames: how many frames have no record of their labels, as after a kill between the two.
-        orphan_records: how many such records have no frame.
-        void_frames: how many frames were taken back, since the force sensor's zero moved while it pressed.
-        zero_moved_N: most that the zero moved over a press [N]; None where that was not measured.
-        damage: what is not as it was written.
-        sound: whether nothing is damaged.
+        duration_s: Recorded time without pauses between segments; None for ordinal times [s].
+        drops: Messages dropped by the writer, for channels with any.
+        labels: Column -> unit symbol; None for unitless numbers, texts, and flags.
+        missing_labels: Column -> number of frames without it, if any.
+        duplicated_frames: Number of frames equal to the previous one.
+        orphan_frames: Number of frames without a label record, as after a kill.
+        orphan_records: Number of label records without a frame.
+        void_frames: Number of frames withdrawn because the force zero moved.
+        zero_moved_N: Largest zero shift over a press; None if not measured [N].
+        sound: Whether there is no damage.
     """
 
     path: str
@@ -97,11 +91,7 @@ class CheckReport:
 
 
 def check(path: PathText) -> CheckReport:
-    """Read a run whole and report on it.
-
-    Raises:
-        RecordingError: not a run.
-    """
+    """Read a run whole and report on it."""
     run = Run.open(path)
     times = {channel: [_times_ns(segment, channel) for segment in run.segments] for channel in RECORDED}
     measured = run.manifest.clock == "measured"
@@ -193,10 +183,7 @@ def _duplicated(run: Run) -> int:
 
 
 def _orphans(segment: StoredSegment) -> tuple[int, int]:
-    """Count of frames without a record, and of records without a frame.
-
-    Before segments held the manifest, frames without labels had none; where no frame has one, none is missed.
-    """
+    """Count of frames without a record, and of records without a frame."""
     frames = {frame.sequence for frame in segment.frames}
     records = {decode_json(message.data, LABELS)["frame"] for message in segment.messages(LABELS)}
     every_frame_has_one = "manifest" in segment.about or records
@@ -208,7 +195,6 @@ class RepairReport:
     """Report of what a repair carried over.
 
     Attributes:
-        frames: how many frames.
         messages: how many messages of force, stage, labels and events.
         lost: what could not be read, and stays in the old run only.
     """
@@ -222,10 +208,6 @@ def repair(run_path: PathText, new_path: PathText) -> RepairReport:
     """Copy what is readable of a run, byte for byte, into a new run; the old one is not touched.
 
     The new run keeps the old one's identity and times, and its origin says what it was repaired from.
-
-    Raises:
-        ExistsError: `new_path` exists.
-        RecordingError: `run_path` is not a run.
     """
     run = Run.open(run_path)
     if not run.segments:

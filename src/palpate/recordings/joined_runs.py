@@ -25,23 +25,15 @@ SENSOR = "sensor"
 class JoinedRun(Run):
     """Several runs as one, in the order given.
 
-    Its labels are the columns that all runs have, and ``session``: a run's own column of that name, else the
-    run's name. A column's instrument is the least certain of the runs'; none where a run states none, see
-    `refuse_partly_measured`. One value in two runs is one session. Where the runs are of sensors of different
-    names and no label says which, a column ``sensor`` does. Times count from the beginning of the earliest.
+    The labels are the columns that all runs share, and ``session`` (a run's own column, else its name).
+    A column's instrument is the least certain one, see `refuse_partly_measured`. A column ``sensor`` is
+    added for different sensors. Times count from the earliest beginning.
 
     Attributes:
-        runs: the runs.
-        left_out: label columns that only some of the runs have.
+        left_out: Label columns that only some runs have.
     """
 
     def __init__(self, runs: Sequence[Run]) -> None:
-        """Join runs.
-
-        Raises:
-            InputError: a run is given twice, or their frames' sizes or their regions differ.
-            LabelError: a label column is of another kind in another run, or `session` has gaps.
-        """
         _check(runs)
         self.runs = tuple(runs)
         shared = [name for name in runs[0].manifest.labels if all(name in r.manifest.labels for r in runs)]
@@ -88,12 +80,7 @@ class JoinedRun(Run):
 
 
 def joined(runs: Run | Sequence[Run]) -> Run:
-    """One run from one or several, see `JoinedRun`; a single one is itself.
-
-    Raises:
-        InputError: there is none, or they do not belong together.
-        LabelError: their labels do not.
-    """
+    """One run from one or several, see `JoinedRun`; a single one is itself."""
     if isinstance(runs, Run):
         return runs
     if not runs:
@@ -115,11 +102,7 @@ def sessions_of(run: Run, name: str | None = None) -> np.ndarray:
     """Session of each frame ``[n]``: the run's own label, else the run's name.
 
     Args:
-        run: the run.
         name: what a run without the label is called; by default its folder's name.
-
-    Raises:
-        LabelError: the label has gaps.
     """
     if SESSION not in run.manifest.labels:
         return np.full(len(run), name or run_names((run,))[0])
@@ -215,13 +198,7 @@ def check_instruments(run: Run, columns: Sequence[str], stated: Mapping[str, Ref
     """Check what is stated, beside a run, of what its columns were measured with.
 
     Args:
-        run: with its labels.
-        columns: what is learnt or scored of them.
         stated: instruments by column; they go before those that the run states.
-
-    Raises:
-        LabelError: one is stated for what is no label column, or a column has none of its own and only some
-            of a joined run's parts state one.
     """
     refuse_strangers(stated, tuple(run.manifest.labels), str(run.path))
     refuse_partly_measured(run, [column for column in columns if column not in stated])

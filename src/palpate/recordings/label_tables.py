@@ -37,11 +37,7 @@ def finite(values: Sequence[float] | np.ndarray, count: int, what: str) -> list[
 
 
 def label_values(labels: Mapping[str, object], kinds: Mapping[str, LabelKind]) -> dict[str, Label]:
-    """Labels as plain numbers, texts and flags.
-
-    Raises:
-        LabelError: a column that the manifest does not list, or a value of another kind than its column.
-    """
+    """Labels as plain numbers, texts and flags."""
     return {name: _value(name, value, kinds) for name, value in labels.items()}
 
 
@@ -87,28 +83,16 @@ def read_labels(
     names: Sequence[str] = (),
     decimal: Decimal = "auto",
 ) -> pd.DataFrame:
-    """Read a table of labels, one row an image.
+    """Read a table of labels, one row an image, in file order.
 
-    A column becomes ``flag`` where every cell is true or false, ``number`` where every cell is a number or
-    empty (NaN), and ``text`` otherwise.
+    A column is ``flag`` if all cells are true or false, ``number`` if all are numbers or empty (NaN), else
+    ``text``.
 
     Args:
-        path: a UTF-8 file with a header whose columns are separated by commas, semicolons or tabs, or a
-            Parquet file (recognised by content).
-        kinds: of columns where a reader must not guess, e.g. a text column that holds ``007``.
-        names: of the columns of a file without a header; its columns may be separated by spaces as well.
-        decimal: what stands before the decimals of a number. ``auto`` reads a decimal comma where no number
-            could be one with commas between its thousands, and refuses a column that could be either.
-
-    Returns:
-        The table, rows in the file's order: row ``i`` is row ``i + 2`` as a person counts, or ``i + 1``
-        where there is no header.
-
-    Raises:
-        LabelError: the file is missing, empty, undecodable or ragged; a column is nameless or named twice;
-            a comma in a number could mean two things; or a cell holds a formula, which a spreadsheet would
-            run.
-        MissingExtraError: it is a Parquet file, and pyarrow is not installed.
+        path: UTF-8 file with a header and separated by commas, semicolons, or tabs; or Parquet, by content.
+        kinds: Kinds of columns that must not be guessed, such as a text column with ``007``.
+        names: Column names of a file without a header, which may also be separated by spaces.
+        decimal: Decimal mark. ``auto`` accepts commas unless they could separate thousands.
     """
     path = Path(path)
     if not path.is_file():
@@ -138,21 +122,12 @@ def label_kinds(table: pd.DataFrame) -> dict[str, LabelKind]:
 def targets_from(
     table: pd.DataFrame, columns: Sequence[str], source: str, *, constant: bool = False
 ) -> Values:
-    """Take the columns to be learnt out of a table of labels.
+    """Return target columns of a label table ``[n t]``, each in the unit of its name.
 
     Args:
-        table: the labels, one row a frame.
-        columns: which of its columns, in the order wanted; each name ends in its unit.
-        source: what the table came from, for the messages.
-        constant: whether a column may hold one value only, as where a run is scored and not learnt from.
-
-    Returns:
-        ``[n t]``, each column in the unit that its name ends in.
-
-    Raises:
-        UnitError: a column's name carries no unit.
-        LabelError: a column is asked for twice, is missing, or holds text, no number (NaN, infinite) or
-            one value only.
+        columns: Target columns in the desired order.
+        source: Origin of the table, for messages.
+        constant: Accept columns with a single value, as for scoring.
     """
     twice = [name for name, count in Counter(columns).items() if count > 1]
     if twice or not columns:
@@ -171,7 +146,6 @@ def with_own(table: pd.DataFrame, columns: Mapping[str, Sequence[Any] | np.ndarr
     """Add columns of the code's own to a table of labels, without taking a label's place.
 
     Args:
-        table: the labels, one row a frame.
         columns: values of each. It is added as ``own:NAME``, and as ``NAME`` where no label has that name.
     """
     own = {f"{OWN}{name}": values for name, values in columns.items()}
@@ -335,9 +309,6 @@ def with_decimal_points(
 
     ``1,5`` can only be one and a half; ``1,234`` is a thousand and some in English, and little more than one
     elsewhere. A column of such numbers alone is read as what the file's other numbers are, or refused.
-
-    Raises:
-        LabelError: a column could be either.
     """
     if decimal == "point":
         return dict(columns)

@@ -37,25 +37,20 @@ LabelKind = Literal["number", "text", "flag"]
 
 
 class Manifest(BaseModel):
-    """Manifest of a run: what it is of, and under which terms its data may be used.
+    """Content of a run and the terms of use of its data.
 
     Attributes:
-        format: the layout of the folder.
-        run_id: unique to this recording; a repaired copy keeps it.
-        created_utc: ISO 8601 with offset; the instant that `Frame.time_s` counts from.
-        clock: ``measured``, or ``ordinal`` where times are only positions in an order.
-        sensor, rig: which sensor was recorded, on what.
-        licence, origin: terms of use, and where the data came from.
-        software: what wrote the run.
-        seed: of the plan or simulation that made it; None where nothing was random.
-        units: label column -> unit symbol of `core.units`.
-        labels: every label column -> its kind.
-        targets: label columns that a calibration estimates where it is told nothing else.
-        regions: of the picture that matter, by name, such as "fringes": (x, y, width, height) [px].
-        instruments: what label columns were measured with, see `ReferenceInstrument`.
-        order: ``recorded`` where rows lie in the order in which they were taken, ``names`` where they lie in
-            that of the images' names, which says nothing of when they were.
-        provenance: measured, simulated, or derived from other data.
+        run_id: Identity of the recording; a repaired copy keeps it.
+        created_utc: Start of `Frame.time_s`, ISO 8601 with offset.
+        clock: ``measured``, or ``ordinal`` for times that only state an order.
+        software: Program that wrote the run.
+        seed: Seed of the plan or simulation; None for none.
+        units: Label column -> unit symbol of `core.units`.
+        labels: Label column -> kind.
+        targets: Label columns estimated by default.
+        regions: Named image regions, such as "fringes": (x, y, width, height) [px].
+        instruments: Reference instruments of label columns.
+        order: ``recorded`` for rows in temporal order, ``names`` for the order of image names.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -128,10 +123,6 @@ class Manifest(BaseModel):
     ) -> Manifest:
         """The manifest of a run that begins now; units come from the columns' names.
 
-        Raises:
-            InputError: a label's kind is not number, text or flag, a name is empty, or a target is no number
-                with a unit.
-
         Example:
             >>> Manifest.new(sensor="tactip-3", labels={"depth_mm": "number"}).units
             {'depth_mm': 'mm'}
@@ -163,11 +154,7 @@ class Manifest(BaseModel):
 
     @classmethod
     def read(cls, run: PathText) -> Manifest:
-        """The manifest in a run's folder.
-
-        Raises:
-            RecordingError: there is none, it is damaged, or another version of palpate has to read it.
-        """
+        """The manifest in a run's folder."""
         return StoredManifest.read(run).manifest
 
     def write(self, run: PathText) -> None:
@@ -190,7 +177,6 @@ class StoredManifest:
     """Manifest as stored: its very text, which each segment keeps a copy of.
 
     Attributes:
-        manifest: what the text says.
         text: in UTF-8.
     """
 

@@ -42,18 +42,14 @@ _NAME, _TIME = "frame:name", "frame:time_s"
 class PackedSet:
     """Prepared frames on disk, read by row, with their labels.
 
-    A read costs the memory of the rows asked for and no more: it goes through the file, not through a mapping
-    of it. It may be used from several threads and processes at once.
+    A read takes the memory of the requested rows only. Threads and processes may share it.
 
     Attributes:
-        folder: where it is.
-        table: one row a frame: the run's labels, with ``frame`` (its name) and ``time_s`` unless the run has
-            labels of these names.
-        names: name of each frame.
-        times_s: time of each frame on the run's clock [s].
-        preparation: how the frames were made.
-        run_hash, run_id: the run that they were made from.
-        units: unit symbol of each label that has one.
+        table: One row a frame: labels, ``frame`` (name), and ``time_s``, unless labels have these names.
+        times_s: Frame times on the run's clock [s].
+        preparation: Preparation of the frames.
+        run_hash, run_id: Source run.
+        units: Unit symbol of each label that has one.
     """
 
     def __init__(self, folder: Path, card: dict[str, Any], index: pd.DataFrame, offset: int) -> None:
@@ -79,10 +75,6 @@ class PackedSet:
         Args:
             folder: where `pack` put it.
             verify: also compute the checksums of its arrays and compare them with the card's.
-
-        Raises:
-            RecordingError: a part is missing, is cut short, or does not fit the card.
-            MissingExtraError: its index was written as Parquet, and pyarrow is not installed.
         """
         folder = Path(folder)
         card = _read_card(folder)
@@ -131,10 +123,6 @@ class PackedSet:
 
         Returns:
             8-bit ``[n h w c]``.
-
-        Raises:
-            InputError: a row is outside the set.
-            RecordingError: the file has been cut since it was opened.
         """
         wanted = np.asarray(rows, dtype=np.int64).reshape(-1)
         if wanted.size and (wanted.min() < 0 or wanted.max() >= len(self)):
@@ -176,21 +164,10 @@ _REMEDY = "pack the run again into a new folder"
 def pack(
     run: Run, folder: PathText, preparation: Preparation, progress: Callable[[int, int], None] | None = None
 ) -> PackedSet:
-    """Prepare every frame of a run and write them as one array, a frame at a time.
+    """Prepare every frame of a run and write them as one array into a new folder.
 
-    The folder holds ``frames.npy`` (8-bit ``[n h w c]``, which `numpy.load` also opens), ``index.csv.gz``
-    (name, time and labels of each row) and ``card.json`` (what it was made from and how, with checksums).
-
-    Args:
-        run: the run.
-        folder: the folder to make; must not exist.
-        preparation: how a frame is made from an image.
-        progress: told how many frames are done of how many.
-
-    Raises:
-        ExistsError: `folder` exists.
-        RecordingError: the run has no frames.
-        InputError: the crop reaches outside an image.
+    The folder holds ``frames.npy`` (8-bit ``[n h w c]``), ``index.csv.gz`` (names, times, labels), and
+    ``card.json`` (source, preparation, checksums).
     """
     if len(run) == 0:
         raise RecordingError(f"run {run.manifest.run_id} has no frames, so there is nothing to pack")

@@ -19,13 +19,11 @@ class Preparation:
     """Preparation of a frame as an estimator's input.
 
     Attributes:
-        crop_px: (x, y, width, height) cut from the frame first [px]; None takes the whole frame.
-        size_px: (height, width) of the input [px].
-        channels: 1 for grey, 3 for RGB.
-        beside_px: a second crop, laid to the right of the first, each in half the input's width; None for
-            one alone.
-        lens: of the camera, whose bending is taken out before all else, onto its `flat`; crops then count in
-            that rectified image. None for a camera whose frames stay as they are.
+        crop_px: Crop (x, y, width, height); None for the whole frame [px].
+        size_px: Input (height, width) [px].
+        channels: 1 for gray, 3 for RGB.
+        beside_px: Second crop, placed to the right of the first, each at half the input's width.
+        lens: Lens of the camera; frames are first rectified onto its `flat`, where the crops count.
     """
 
     crop_px: Box | None
@@ -63,9 +61,6 @@ class Preparation:
         """Rectify, crop, turn to grey or RGB, and scale one image.
 
         Grey is ITU-R BT.601 luma. Shrinking averages areas, so that no marker falls between samples.
-
-        Raises:
-            ImageError: the crop does not lie inside the image, or the image is not of the lens's size.
         """
         if self.lens is not None:
             image = rectified(image, self.lens)

@@ -19,7 +19,6 @@ def exact_maps(
     """Where in the lens's image each pixel of a rectified one lies: x and y [px].
 
     Args:
-        lens: of the camera.
         onto: what is seen instead; None is the lens's `flat`.
 
     Returns:
@@ -53,11 +52,7 @@ def rectified(image: Image, lens: Lens, onto: Lens | None = None) -> Image:
 
     Args:
         image: grey or RGB, of the lens's own size.
-        lens: of the camera that took it.
         onto: what is seen instead; None is the lens's `flat`, of the same size and scale in the middle.
-
-    Raises:
-        ImageError: the image is of another size.
     """
     lens.check_size(image.shape[:2])
     flat = cv2.remap(

@@ -28,18 +28,17 @@ MAX_FILE_BYTES = 1 << 20
 
 
 class ReferenceInstrument(BaseModel):
-    """Instrument that the labels of one column were measured with; numbers are in the column's unit.
+    """Instrument of one label column; numbers are in the column's unit.
 
     Attributes:
-        instrument: what it is, with its serial number.
-        certificate: number of its calibration certificate, and who gave it; empty where it has none.
-        certified_on: date of that certificate, ISO 8601; empty where it has none.
-        standard_uncertainty: of what stays the same from row to row: scale, zero and alignment, as the
-            certificate states it for a coverage factor of 1. It is in every reading's interval.
-        resolution: least difference that it shows. It varies from row to row, so that held-out errors hold
-            it.
-        backlash: what it loses on turning back; it varies from row to row where presses come from both sides.
-        bias_removed: the known error that was subtracted from the labels; it is told and changes nothing.
+        instrument: Name and serial number.
+        certificate: Number and issuer of the calibration certificate; empty for none.
+        certified_on: Date of the certificate, ISO 8601; empty for none.
+        standard_uncertainty: Systematic uncertainty (scale, zero, alignment) for a coverage factor of 1;
+            included in every reading's interval.
+        resolution: Smallest displayed difference; varies from row to row, so held-out errors contain it.
+        backlash: Loss on reversal; varies from row to row if presses come from both sides.
+        bias_removed: Known error already subtracted from the labels; informative only.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -65,12 +64,7 @@ class ReferenceInstrument(BaseModel):
 
 @parser("instrument file", InputError)
 def read_instruments(path: PathText) -> dict[str, ReferenceInstrument]:
-    """Reference instruments of label columns, from a file of TOML.
-
-    Raises:
-        InputError: the file is missing or no TOML, or a section lacks its instrument, has a field that is not
-            known, a negative number, or a date that is none.
-    """
+    """Reference instruments of label columns, from a file of TOML."""
     path = Path(path)
     if not path.is_file() or path.stat().st_size > MAX_FILE_BYTES:
         raise InputError(f"{path} is no file of instruments of up to {MAX_FILE_BYTES} bytes; check the name")

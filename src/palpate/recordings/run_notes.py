@@ -26,7 +26,6 @@ class RunNote:
 
     Attributes:
         time_s: from the run's first instant [s].
-        text: what was noted; one line.
         written_utc: when, in ISO 8601.
     """
 
@@ -37,12 +36,7 @@ class RunNote:
 
 @parser("run notes", RecordingError)
 def read_notes(run: PathText) -> list[RunNote]:
-    """Read the notes on a run, in the order of their times; lines that are none are left out.
-
-    Raises:
-        RecordingError: their file is a link, or larger than notes ever are.
-        StorageError: it cannot be read.
-    """
+    """Read the notes on a run, in the order of their times; lines that are none are left out."""
     path = Path(run) / NOTES
     if path.is_symlink():
         raise RecordingError(f"{path} is a link; notes lie beside their run: move the file there")
@@ -59,13 +53,8 @@ def add_note(run: PathText, time_s: float, text: str) -> RunNote:
     """Add a note to a run.
 
     Args:
-        run: its folder.
         time_s: what the note is on, from the run's first instant [s].
         text: 1 to `MAX_NOTE` characters; line ends become spaces.
-
-    Raises:
-        InputError: the text is empty or too long, the time is not finite, or there are too many notes.
-        RecordingError: the folder is no run.
     """
     path, text = Path(run) / NOTES, " ".join(text.split())
     if not (path.parent / MANIFEST).is_file():

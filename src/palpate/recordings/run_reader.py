@@ -60,18 +60,14 @@ ZERO_MOVED = "zero-moved"
 
 
 class Run:
-    """A recorded run, as it stood on disk when it was opened.
+    """Recorded run, as on disk when it was opened.
 
-    A segment that was closed carries an index; its frames are compared with their checksums when first read,
-    and a damaged one raises rather than moving the others to another index. A segment that was never closed
-    is checked whole at opening, and what is damaged in it is left out. Nothing is altered or made up.
-
-    A run may be copied to other processes, and read from several threads.
+    Frames of a closed segment are verified when first read; a damaged one raises and keeps its index. An
+    unclosed segment is verified at opening and its damaged parts are left out. Runs may be pickled and
+    shared by threads.
 
     Attributes:
-        path: the folder.
-        manifest: what the run is of; `stored_manifest` has its very text.
-        segments: what can be read of each.
+        segments: Readable content of each segment.
     """
 
     def __init__(
@@ -81,7 +77,6 @@ class Run:
         segments: tuple[StoredSegment, ...],
         damage: tuple[Damage, ...] = (),
     ) -> None:
-        """Use `open`, which makes runs."""
         self.path = path
         self.stored_manifest = stored
         self.manifest = stored.manifest
@@ -97,9 +92,6 @@ class Run:
 
         Where the manifest beside the segments is damaged, gone or altered, the copy that the segments hold is
         read instead; that is warned of, and told as damage.
-
-        Raises:
-            RecordingError: not a run, or one without a readable manifest.
         """
         path = Path(path)
         segments = _segments(path)
@@ -146,12 +138,7 @@ class Run:
         return Run(self.path, self.stored_manifest, segments, self._manifest_damage)
 
     def frame(self, index: int) -> Frame:
-        """Frame by index; its name is its `NAME_COLUMN` label where the run has it, else its index.
-
-        Raises:
-            RangeError: there is no such index.
-            RecordingError: the frame is damaged.
-        """
+        """Frame by index; its name is its `NAME_COLUMN` label where the run has it, else its index."""
         if not 0 <= index < len(self):
             raise RangeError(
                 f"{self.path} has frames 0 to {len(self) - 1}, and {index} was asked for", code="index-range"
@@ -163,12 +150,7 @@ class Run:
         )
 
     def frame_at(self, time_s: float) -> Frame:
-        """The frame taken nearest to a time [s]; the earlier of two.
-
-        Raises:
-            RangeError: the run has no frames, or the time is not finite.
-            RecordingError: the frame is damaged.
-        """
+        """The frame taken nearest to a time [s]; the earlier of two."""
         if not len(self) or not np.isfinite(time_s):
             raise RangeError(f"{self.path} has {len(self)} frames, none of them near {time_s} s")
         return self.frame(int(np.argmin(np.abs(self.times_s - time_s))))

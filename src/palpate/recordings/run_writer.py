@@ -61,7 +61,6 @@ class Item:
     """Item to write, and when it was recorded [ns since 1970].
 
     Attributes:
-        data: a message's bytes, or a frame's image.
         about: a frame's exposure and labels; None where it has neither.
     """
 
@@ -148,8 +147,6 @@ class OpenedSegment:
     """A claimed segment of a locked run.
 
     Attributes:
-        manifest: of the run.
-        segment: open for appending.
         lock_file: the lock, until it is closed.
         start_ns: the segment's first instant [ns since 1970].
         zero_ns: what the clock's reading is added to, to count from 1970.
@@ -220,7 +217,6 @@ class RunWriter:
     """
 
     def __init__(self, opened: OpenedSegment, clock: Clock, buffer: Buffer) -> None:
-        """Use `create` or `resume`, which make writers."""
         self._opened = opened
         self._segment = opened.segment
         self._labels = opened.manifest.labels
@@ -251,14 +247,10 @@ class RunWriter:
 
         Args:
             path: the folder, which must not exist.
-            manifest: what the run is of.
             clock: what stamps messages that come without a time.
             queue_frames: how many frames may wait to be written.
             overflow: drop and count what finds the queue full, or let its caller wait.
             note: what the segment's files begin with, on disk before this returns; of JSON's types.
-
-        Raises:
-            ExistsError: `path` exists.
         """
         buffer = _buffer(queue_frames, overflow)
         path, now_ns = Path(path), clock.now_ns()
@@ -280,9 +272,6 @@ class RunWriter:
 
         Time continues on the same clock, and strictly after all that can be read. After a restart of the
         machine, whose clock then starts anew, the length of the pause is not known.
-
-        Raises:
-            RecordingError: not a run, or another writer is recording into it.
         """
         buffer = _buffer(queue_frames, overflow)
         return cls(open_segment(Path(path), clock.now_ns(), note), clock, buffer)
@@ -305,11 +294,6 @@ class RunWriter:
 
         Returns:
             False when the queue was full and the frame was dropped and counted.
-
-        Raises:
-            ImageError: not such an image, or larger than `image_files.MAX_PIXELS`.
-            LabelError: a label that the manifest does not list, or of another kind.
-            InputError: a time before the previous frame's.
         """
         Frame(image)
         if image.shape[0] * image.shape[1] > image_files.MAX_PIXELS:
@@ -332,9 +316,6 @@ class RunWriter:
             wrench: in the skin's axes, the normal force positive in compression.
             time_ns: when it was measured, on the writer's clock [ns]; now when left out.
             raw: it is what the sensor said, in its own axes and with its bias: recorded apart.
-
-        Raises:
-            InputError: not six finite numbers, or a time before the previous one's.
         """
         values = finite(wrench, 6, "force and torque [N, Nm]")
         return self._put(
@@ -342,20 +323,12 @@ class RunWriter:
         )
 
     def stage(self, position_m: Sequence[float] | np.ndarray, *, time_ns: int | None = None) -> bool:
-        """Record where the stage is [m]; False when dropped.
-
-        Raises:
-            InputError: not three finite numbers, or a time before the previous one's.
-        """
+        """Record where the stage is [m]; False when dropped."""
         values = finite(position_m, 3, "stage position [m]")
         return self._put(STAGE, time_ns, lambda at_ns: message_schema.encode_point(values, at_ns))
 
     def event(self, kind: str, **fields: Any) -> bool:
-        """Record that something happened; False when dropped. A full disk still has room for some.
-
-        Raises:
-            InputError: fields that JSON cannot hold, or the kind ``dropped``, which is the writer's own.
-        """
+        """Record that something happened; False when dropped. A full disk still has room for some."""
         if kind == DROPPED:
             raise InputError(
                 f"events of kind {DROPPED!r} are the writer's own; choose another kind", code="event-kind"
@@ -364,11 +337,7 @@ class RunWriter:
         return self._put(EVENTS, None, lambda _: data)
 
     def sync(self) -> None:
-        """Wait until the disk holds all that was accepted so far.
-
-        Raises:
-            StorageError: it does not.
-        """
+        """Wait until the disk holds all that was accepted so far."""
         self._refuse_if_over()
         mark = Event()
         self._buffer.mark(mark)
@@ -387,11 +356,7 @@ class RunWriter:
         return self._stored
 
     def close(self) -> None:
-        """Write what is queued, close the segment and let go of the run. Closing again does nothing.
-
-        Raises:
-            StorageError: something accepted could not be written.
-        """
+        """Write what is queued, close the segment and let go of the run. Closing again does nothing."""
         if self._closed:
             return
         self._closed = True

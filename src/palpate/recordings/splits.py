@@ -54,15 +54,15 @@ the whole order, and long enough that most rows held out have no neighbour that 
 
 @dataclass(frozen=True, slots=True)
 class Split:
-    """Rows of a table parted into folds, each held out once.
+    """Rows of a table divided into folds, each held out once.
 
     Attributes:
-        kind: as a person would type it, e.g. ``group:location``.
-        group_columns: the columns whose values together name a group; empty for a random split.
-        groups: name of the group of each row ``[n]``; None for a random split.
-        folds: row indices held out in each fold; disjoint, together all rows.
-        reason: why this kind, in words.
-        block_rows: consecutive rows of each block, of a split by blocks; None of any other.
+        kind: Specification, such as ``group:location``.
+        group_columns: Columns that name a group; empty for a random split.
+        groups: Group of each row ``[n]``; None for a random split.
+        folds: Row indices held out in each fold; disjoint and complete.
+        reason: Reason for this kind.
+        block_rows: Block length of a split by blocks; None otherwise.
     """
 
     kind: str
@@ -79,22 +79,14 @@ class Split:
 
 
 def split(table: pd.DataFrame, spec: str, *, folds: int = 5, seed: int = 0) -> Split:
-    """Part the rows of a table of labels into folds.
+    """Divide the rows of a label table into folds.
 
     Args:
-        table: the labels, one row a frame.
-        spec: ``auto`` (by the coarsest conventional group that is there, else random), ``random``,
-            ``session`` (one session held out in turn), ``blocks`` or ``blocks:ROWS`` (so many consecutive
-            rows together, dealt to the folds in turn), ``group:COL[,COL...]``,
-            ``leave-one-out:COL[,COL...]``, or a plug-in, as ``module:function`` or the name of an entry point
-            of the group ``palpate.splits``.
-        folds: how many, 2 or more; leave-one-out has one for each group, a session split for each session.
-        seed: of the shuffle.
-
-    Raises:
-        SplitError: the specification is not one of these, names an unknown column or one with gaps, or the
-            table has too few rows or groups for it.
-        PluginError: a plug-in does not import, or what it makes breaks a law.
+        spec: ``auto`` (coarsest conventional group, else random), ``random``, ``session``, ``blocks`` or
+            ``blocks:ROWS`` (consecutive rows together), ``group:COL[,COL...]``,
+            ``leave-one-out:COL[,COL...]``, or a plug-in (``module:function`` or an entry point of the group
+            ``palpate.splits``).
+        folds: Number of folds, at least 2; ignored by leave-one-out and session.
 
     Example:
         >>> table = pd.DataFrame({"press": ["a", "a", "b", "b"], "depth_mm": [1.0, 2.0, 1.0, 2.0]})
@@ -204,12 +196,7 @@ def _parts(
 
 
 def check_split_text(spec: str) -> None:
-    """Refuse what is no split, before there is a table to part.
-
-    Raises:
-        SplitError: it is neither a kind that palpate has nor the name of a plug-in.
-        PluginError: it is a plug-in that does not import, or cannot be called.
-    """
+    """Refuse what is no split, before there is a table to part."""
     kind, colon, names = spec.partition(":")
     if kind in _BY_COLUMNS and any(name.strip() for name in names.split(",")):
         return
@@ -287,15 +274,7 @@ def _labels(answer: Any, spec: str, rows: int) -> np.ndarray:
 
 
 def check_split(parts: Split, rows: int) -> None:
-    """Check that a split holds out every row once and no group in parts.
-
-    Args:
-        parts: the split.
-        rows: of the table that it parts.
-
-    Raises:
-        PluginError: it breaks a law; the message names the split and the law.
-    """
+    """Check that a split holds out every row once and no group in parts."""
     held_rows = np.concatenate(parts.folds) if parts.folds else np.empty(0, np.int64)
     if len(parts.folds) < 2 or not all(len(fold) for fold in parts.folds):
         raise PluginError(
@@ -321,11 +300,7 @@ def conventional_groups(table: pd.DataFrame) -> list[tuple[str, ...]]:
 
 
 def group_names(table: pd.DataFrame, columns: Sequence[str]) -> np.ndarray:
-    """Name the group of each row by its values in several columns together, as strings ``[n]``.
-
-    Raises:
-        SplitError: a column is unknown, or has gaps.
-    """
+    """Name the group of each row by its values in several columns together, as strings ``[n]``."""
     for name in columns:
         if name not in table.columns:
             known = ", ".join(str(c) for c in table.columns)

@@ -33,9 +33,6 @@ def write_table(table: pd.DataFrame, path: Path) -> None:
     Args:
         table: columns of numbers, texts or flags; its index is not kept.
         path: the file to write, by custom ``.csv.gz``.
-
-    Raises:
-        InputError: a cell is of another kind.
     """
     columns = [[_cell(value) for value in table[name].tolist()] for name in table.columns]
     with (
@@ -48,13 +45,7 @@ def write_table(table: pd.DataFrame, path: Path) -> None:
 
 @parser("stored table", InputError, max_bytes=MAX_TABLE_BYTES)
 def read_table(path: Path) -> pd.DataFrame:
-    """Read what `write_table` wrote, or a Parquet file; which of the two is told by content.
-
-    Raises:
-        InputError: the file is damaged, or unpacks to more than `MAX_TABLE_BYTES`.
-        MissingExtraError: it is a Parquet file, and pyarrow is not installed.
-        OSError: the disk refused, or there is no such file.
-    """
+    """Read what `write_table` wrote, or a Parquet file; which of the two is told by content."""
     data = path.read_bytes()
     try:
         if data.startswith(_PARQUET):
@@ -68,11 +59,7 @@ def read_table(path: Path) -> pd.DataFrame:
 
 
 def pyarrow_for(path: Path) -> Any:
-    """The package that reads Parquet, for a file that needs it.
-
-    Raises:
-        MissingExtraError: it is not installed.
-    """
+    """The package that reads Parquet, for a file that needs it."""
     require("pyarrow.parquet", f"The Parquet file {path}")
     return require("pyarrow", f"The Parquet file {path}")
 

@@ -98,12 +98,7 @@ class SequenceFrames:
 
 
 def open_source(path: PathText) -> FrameStream:
-    """Open an image, a folder of images, a run or a video.
-
-    Raises:
-        InputError: there is nothing to sense there.
-        ImageError: it is one image, and cannot be read; or nothing is there.
-    """
+    """Open an image, a folder of images, a run or a video."""
     path = Path(path)
     if not path.exists():
         raise ImageError(

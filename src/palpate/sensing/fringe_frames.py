@@ -22,16 +22,12 @@ class OrderReader(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MappedFrame:
-    """One frame and its fringe orders.
+    """Fringe orders of one frame.
 
     Attributes:
-        index: of the frame in its source.
-        name: of its file, or its number.
-        time_s: when it was taken [s]; its number where the source does not say.
-        frame: None where it cannot be read as an image.
-        found: None where no map could be made.
-        reason: why; empty where there is one.
-        latency_s: from the image in memory to the map [s].
+        time_s: Capture time, or the index without a clock [s].
+        reason: Reason why there is no map; empty otherwise.
+        latency_s: Time from the decoded image to the map [s].
     """
 
     index: int
@@ -56,12 +52,7 @@ def read_orders(
     """Fringe orders of each frame, in order; one that cannot be read says why and does not end the sequence.
 
     Args:
-        frames: in their order.
-        reader: of one frame.
         follow: each frame goes on from the one before, as far as light allows.
-
-    Raises:
-        InputError: the first frame is not one that the reader reads.
     """
     before: OrderMap | None = None
     for i, frame in enumerate(frames):

@@ -1,11 +1,8 @@
-"""Whether a camera's picture is fit to measure with: focus, noise, flicker, exposure, and advice in words.
+"""Quality of a camera's picture from a few frames of a still scene: focus, noise, flicker, exposure, advice.
 
-All is told from a few frames of the untouched sensor, or of a still scene. Focus is the width of the sharpest
-edges, taken as a Gaussian blur; beside an earlier reference of the same scene it is a ratio, which needs no
-edge to be known. Flicker of lamps on alternating current is brightness that changes from frame to frame, and,
-where rows are exposed one after the other, bands that move; its frequency is told up to half of the frame
-rate, with the mains frequency that would show so. Lamps in step with the frames, as on 60 Hz mains at 30
-frames a second, stand still in the picture and are not seen.
+Focus is the blur of the sharpest edges, or a ratio to a reference frame. Flicker of lamps is brightness that
+changes between frames, or moving bands with a rolling shutter; lamps synchronous with the frames are
+invisible.
 """
 
 from __future__ import annotations
@@ -48,13 +45,13 @@ BANDS = 32  # parts of a frame's rows in which flicker is looked for
 
 @dataclass(frozen=True, slots=True)
 class Flicker:
-    """Change of brightness over time.
+    """Brightness change over time.
 
     Attributes:
-        amplitude: of the frame's mean, half of peak to peak, over its level.
-        frequency_hz: at which it is seen, up to half of the frame rate [Hz]; None where none stands out.
-        bands: amplitude within a frame, of what moves over its rows, over its level.
-        mains_hz: 50 or 60 Hz mains whose lamps, at twice that, would show so [Hz]; None where neither would.
+        amplitude: Half of peak to peak of the frame mean, relative to the level.
+        frequency_hz: Apparent frequency, at most half the frame rate; None without a peak [Hz].
+        bands: Amplitude of moving bands within a frame, relative to the level.
+        mains_hz: Mains frequency (50 or 60) of lamps that explain it; None for none [Hz].
     """
 
     amplitude: float
@@ -65,17 +62,15 @@ class Flicker:
 
 @dataclass(frozen=True, slots=True)
 class ImageHealth:
-    """What a few frames of a still scene tell of a picture.
+    """Quality of the picture, from frames of a still scene.
 
     Attributes:
-        blur_px: standard deviation of the sharpest edges' blur [px]; None where there is no edge.
-        sharpness: fine contrast over the reference's: 1 is as sharp; None without a reference.
-        noise: standard deviation of a pixel over time, brightness of frames divided out [grey levels].
-        level: mean of the lit part [grey levels].
-        clipped: share of pixels of which a channel is at the bright end of the range.
-        black: share of pixels at the dark end.
-        flicker: change of brightness over time.
-        advice: what to do, in the order of what matters most; empty where all is well.
+        blur_px: Standard deviation of the blur of the sharpest edges; None without an edge [px].
+        sharpness: Fine contrast relative to the reference; None without one.
+        noise: Temporal standard deviation of a pixel, frame brightness removed [gray levels].
+        level: Mean of the lit part [gray levels].
+        clipped: Fraction of pixels with a saturated channel.
+        advice: Recommended actions, the most important first.
     """
 
     blur_px: float | None
@@ -104,18 +99,12 @@ def image_health(
     region: tuple[int, int, int, int] | None = None,
     reference: Shaped[ndarray, ...] | None = None,
 ) -> ImageHealth:
-    """Tell whether a picture is fit to measure with.
+    """Measure whether a picture is fit for measurements.
 
     Args:
-        frames: 8-bit grey ``[h w]`` or RGB ``[h w 3]``, one after the other, of a still scene.
-        rate_hz: at which they were taken [Hz].
-        region: x, y, width and height of what is looked at [px]; all of the frame without.
-        reference: an earlier frame of the same scene, to compare the focus with.
-
-    Raises:
-        InputError: fewer than four frames, or of several kinds.
-        ImageError: not 8-bit grey or RGB.
-        RangeError: a rate that is not above 0, or a region outside of the frame.
+        frames: 8-bit gray ``[h w]`` or RGB ``[h w 3]`` frames of a still scene, in order.
+        region: Region (x, y, width, height); the whole frame by default [px].
+        reference: Earlier frame of the same scene for the comparison of focus.
     """
     stack = _stack(frames, region)
     if not (0 < rate_hz < math.inf):
@@ -149,17 +138,10 @@ def image_health(
 
 
 def edge_blur_px(image: Float[ndarray, "h w"] | Float32[ndarray, "h w"], noise: float = 0.0) -> float | None:
-    """Standard deviation of the blur of the sharpest edges, as of a step blurred by a Gaussian [px].
+    """Return the standard deviation of the blur of the sharpest edges, None without one below 8 px [px].
 
-    An edge of height H blurred by s has the slope H / (s sqrt(2 pi)); two blurs more are added, and the ratio
-    of the slopes then tells s without H (as Zhuo and Sim do, doi:10.1016/j.patcog.2011.03.009).
-
-    Args:
-        image: grey levels.
-        noise: standard deviation of a pixel of it [grey levels].
-
-    Returns:
-        None where no edge stands out of the noise, or none is sharper than 8 px.
+    An edge of height H blurred by s has the slope H / (s sqrt(2 pi)). The slope ratio after two further blurs
+    gives s without H (Zhuo and Sim, doi:10.1016/j.patcog.2011.03.009).
     """
     blur = None
     for times in TIMES:
@@ -181,12 +163,7 @@ def edge_blur_px(image: Float[ndarray, "h w"] | Float32[ndarray, "h w"], noise: 
 
 
 def flicker_of(grey: Float32[ndarray, "n h w"], rate_hz: float) -> Flicker:
-    """Change of brightness of frames over time, of all and of bands of rows.
-
-    Args:
-        grey: frames of a still scene [grey levels].
-        rate_hz: at which they were taken [Hz].
-    """
+    """Return the brightness change over time of whole frames and of bands of rows."""
     n, height, _ = grey.shape
     rows = min(BANDS, height)
     bands = grey[:, : height // rows * rows].reshape(n, rows, height // rows, -1).mean(axis=(2, 3))
@@ -207,34 +184,8 @@ def seen_frequency_hz(true_hz: float, rate_hz: float) -> float:
     return min(rest, rate_hz - rest)
 
 
-def lit_region(frames: Sequence[Shaped[ndarray, ...]]) -> tuple[int, int, int, int]:
-    """Box of the largest lit part of frames, a first guess of where a skin is: x, y, width and height [px].
-
-    Raises:
-        InputError: frames of several kinds.
-        ImageError: not 8-bit grey or RGB, or nothing in them is brighter than the rest.
-    """
-    mean = np.mean([_grey(one) for one in _stack(frames, None, least=1)], axis=0)
-    smooth = np.clip(cv2.GaussianBlur(mean, (0, 0), 2.0), 0, 255).astype(np.uint8)
-    level, lit = cv2.threshold(smooth, 0, 255, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
-    _, _, boxes, _ = cv2.connectedComponentsWithStats(lit, connectivity=8)
-    even = len(boxes) < 2 or not (lit == 0).any()
-    if even or float(smooth[lit > 0].mean()) - float(smooth[lit == 0].mean()) < DARK:
-        raise ImageError(
-            f"no part of the picture is brighter than the rest (around {level:.0f} of 255 grey levels): "
-            "light the skin, or give its region by hand",
-            code="no-bright-region",
-        )
-    x, y, width, height = boxes[1 + int(boxes[1:, cv2.CC_STAT_AREA].argmax()), :4]
-    return int(x), int(y), int(width), int(height)
-
-
 def _frequency(over_all: Float[ndarray, " n"], within: Float[ndarray, "n b"], rate_hz: float) -> float | None:
-    """The frequency that stands out; None where none does.
-
-    A lamp that warms up, or an exposure that settles, is no flicker: a straight line is taken off first, and
-    what is left of the change falls from the slowest frequency on, and has no peak.
-    """
+    """The frequency that stands out; None where none does."""
     n = len(over_all)
     signals = np.concatenate([over_all[:, None] * math.sqrt(within.shape[1]), within], axis=1)
     window, padded = np.hanning(n)[:, None], 8 * n

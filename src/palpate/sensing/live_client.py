@@ -20,13 +20,9 @@ of several sensors wait for each other by spinning."""
 
 
 class LiveClient(RpcClient):
-    """Asks one live sensor's process, and reaches for it again whenever it is gone.
+    """Client of one live sensor process; reconnects whenever the process is gone.
 
-    `status` and `picture` are the newest that it told, ten times a second and more while frames come.
-
-    Args:
-        name: of the sensor, as it was launched.
-        folder: of the address files where it is not the user's own.
+    `status` and `picture` hold the newest values, updated at least ten times a second.
 
     Example:
         >>> with LiveClient("live palm") as sensor:  # doctest: +SKIP
@@ -70,15 +66,12 @@ class LiveClient(RpcClient):
 def launch_live(
     name: str, options: LiveOptions | Mapping[str, Any] | None = None, *, folder: Path | None = None
 ) -> tuple[subprocess.Popen[bytes], Address]:
-    """Start a live sensor's process and wait until it can be reached. It outlives its starter.
+    """Start a live sensor process, which outlives its starter, and wait until it answers.
 
     Args:
-        name: under which it is reached, unique among this user's processes.
-        options: `LiveOptions`, or the same as plain values; its paths are taken from the caller's folder.
-        folder: of the address file, where it is not the user's own.
-
-    Raises:
-        DeviceError: it ended at once, and what it said; or a process of this name runs already.
+        name: Process name, unique for this user.
+        options: `LiveOptions` or its plain values; relative paths start at the caller's folder.
+        folder: Folder of the address file; the user's own by default.
     """
     plain = dict(options) if isinstance(options, Mapping) else {} if options is None else options.to_dict()
     plain |= {key: str(Path(plain[key]).absolute()) for key in ("calibration", "runs") if plain.get(key)}

@@ -23,13 +23,10 @@ TAKE_S = 0.1  # so that an interrupt is heard
 
 
 class Live(Closing):
-    """Readings of one sensor, as they come, to be gone through once; `live` makes it.
+    """Readings of one sensor as they arrive, for one iteration; made by `live`.
 
-    Whoever takes them slowly gets the newest of a camera, and every one of a file. Leaving the ``with``
-    block, or closing it, lets go of the camera.
-
-    Attributes:
-        loop: that reads, with its state, statistics and drift.
+    A slow consumer receives the newest reading of a camera and every reading of a file. Leaving the ``with``
+    block releases the camera.
     """
 
     def __init__(self, loop: LiveLoop, slot: NewestSlot[LiveReading]) -> None:
@@ -109,11 +106,7 @@ class Live(Closing):
         return self._slot.over
 
     def refuse_failed(self) -> None:
-        """Raise what ended it, where that was a failure.
-
-        Raises:
-            DeviceError: what it was.
-        """
+        """Raise what ended it, where that was a failure."""
         if self.loop.state is LiveState.FAILED:
             raise DeviceError(self.loop.why)
 
@@ -134,29 +127,18 @@ def live(
     """Open a sensor and read it live.
 
     Args:
-        calibration: a calibration's folder, or a session's, whose newest calibration is taken; without one,
-            frames come without readings.
-        camera: any address that `open_live_source` opens: a number, a USB serial number, a video, a folder, a
-            run, ``-``, ``virtual:palm``.
-        zero: an image of the untouched sensor, or its path; True takes it from the first frames, False does
-            not. Left out, it is taken from the first frames of a camera, which nothing may touch then, and of
-            a run from its own untouched frames.
-        settings: of a USB camera, `palpate.rig.real.uvc_camera.UvcSettings`.
-        paced: play a file at its own rate, and lose what is not taken in time.
-        idle_s: a folder or run that is being written has ended when nothing came for so long [s].
-        threads: of the inference engine; 0 lets it choose.
-        shear: a sensor with a patterned skin, such as "nusense:7", or a file of one: touch is read from its
-            marks, with newtons where the calibration is one of `palpate calibrate --method shear-force`.
-        subscribers: whoever else is told of frames, readings and forces.
-        max_frames: after which it ends; None goes on until the source ends or it is closed.
-
-    Returns:
-        What gives a `LiveReading` a frame, in a ``for``, an ``async for`` or a ``with``.
-
-    Raises:
-        CertificateError: no calibration, or a damaged one.
-        DeviceError: there is no such camera, or it refuses.
-        InputError, ImageError: there is nothing to read there.
+        calibration: Folder of a calibration or of a session with calibrations; None for frames alone.
+        camera: Address as of `open_live_source`.
+        zero: No-contact image or its path; True takes it from the first frames, False does not. None takes
+            it from the first frames of a camera, or from a run's own no-contact frames.
+        settings: Settings of a USB camera, `palpate.rig.real.uvc_camera.UvcSettings`.
+        paced: Play a file at its own rate and drop late frames.
+        idle_s: Time without frames after which a growing folder or run has ended [s].
+        threads: Threads of the inference engine; 0 lets it choose.
+        shear: Sensor with a patterned skin, such as "nusense:7", or a file of one: touch is read from its
+            marks, in newtons with a calibration of `palpate calibrate --method shear-force`.
+        subscribers: Further receivers of frames, readings, and forces.
+        max_frames: Number of frames after which it ends; None for no limit.
 
     Example:
         for reading in palpate.live("cal", camera=0):

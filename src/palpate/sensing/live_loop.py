@@ -61,20 +61,15 @@ class LiveState(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LiveReading:
-    """One frame and what was read from it.
+    """Frame and its readings.
 
     Attributes:
-        frame: its name.
-        number: of the frame in its source.
-        time_s: the source's own time of it [s].
-        readings: of the calibration; None without one.
-        latency_s: from the frame's arrival to its readings [s].
-        image: 8-bit grey ``[h w]`` or RGB ``[h w 3]``.
-        force_n: normal force of the sensor beside it as the frame was taken, its bias at the last zero taken
-            off; None without one.
-        why: why the frame could not be read as an image; empty where it could.
-        source: name of its source.
-        stats: counts and times so far.
+        time_s: Time by the source's clock [s].
+        readings: Readings of the calibration; None without one.
+        latency_s: Time from the arrival of the frame to its readings [s].
+        image: 8-bit gray ``[h w]`` or RGB ``[h w 3]``.
+        force_n: Normal force at the capture time, bias of the last zero removed; None without a sensor [N].
+        why: Reason why the frame could not be decoded; empty otherwise.
     """
 
     frame: str
@@ -111,10 +106,9 @@ class LiveReading:
 
 
 class LiveLoop(Closing):
-    """Loop from a source to whoever subscribed. Start it with `start`, end it with `close`.
+    """Loop from a source to its subscribers, from `start` to `close`.
 
-    Nothing that goes wrong with a camera, a subscriber or a force sensor ends it: each is a named state or
-    fault, told by `status`.
+    Failures of a camera, subscriber, or force sensor do not end it; `status` reports each.
     """
 
     def __init__(
@@ -129,17 +123,16 @@ class LiveLoop(Closing):
         hand_over: NewestSlot[LiveReading] | None = None,
         max_frames: int | None = None,
     ) -> None:
-        """Make a loop.
+        """Prepare the loop.
 
         Args:
-            opener: opens the source, and opens it again where a camera was lost.
-            reader: of the frames; None shows them without readings.
-            source: where it is open already.
-            subscribers: whoever is told; more can be added by `subscribe`.
-            zero_at_start: take the first frames as those of the untouched sensor.
-            zero_frames: how many are averaged to one untouched image.
-            hand_over: where each reading is laid for a consumer; one of a file waits until it was taken.
-            max_frames: that are read, told and handed over, each waiting until it was taken; None for no end.
+            opener: Opens the source, and reopens a lost camera.
+            reader: Reader of the frames; None for frames alone.
+            source: Source that is already open.
+            zero_at_start: Take the first frames as no-contact frames.
+            zero_frames: Number of frames averaged for the no-contact image.
+            hand_over: Slot for a consumer; a file waits until it was emptied.
+            max_frames: Number of frames after which it ends, each delivered; None for no limit.
         """
         self._opener, self._source = opener, source
         self._reader = reader

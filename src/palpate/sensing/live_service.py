@@ -69,21 +69,19 @@ SWITCH_S = 0.001  # between threads, so that a frame does not wait for what othe
 
 @dataclass(frozen=True, slots=True)
 class LiveOptions:
-    """Options of a live sensor's process.
+    """Options of a live sensor process.
 
     Attributes:
-        camera: address of the source, as `open_live_source` takes it.
-        calibration: folder; "" for none.
-        runs: folder that recordings go into; "" where none may be made.
-        reference: image file of the untouched sensor; "" for none.
-        shear: sensor or file of a patterned skin, as `live` takes it: touch is read from its marks, by
-            `calibration` in newtons where that is one of `palpate calibrate --method shear-force`.
-        compliance: calibration of a tip, an .npz: softness of each press as it ends; "" for none.
-        preset: of the sensor, or its TOML file, by which its picture is looked at; "" for that of its camera.
-        zero: take the first frames as those of the untouched sensor; None does so of cameras alone.
-        size_px, rate_hz, exposure_s, white_balance_k: of a USB camera; None for the usual.
-        paced, repeat, idle_s, seed: as `open_live_source` takes them.
-        threads: of the inference engine; 0 lets it choose.
+        camera: Address as of `open_live_source`.
+        runs: Folder of recordings; "" to forbid them.
+        reference: No-contact image file; "" for none.
+        shear: Patterned skin as of `live`.
+        compliance: Calibration of a tip (.npz), for the softness of each press; "" for none.
+        preset: Preset of the sensor or its TOML file; "" for that of its camera.
+        zero: Take the first frames as no-contact frames; None does so for cameras only.
+        size_px, rate_hz, exposure_s, white_balance_k: Settings of a USB camera; None for the defaults.
+        paced, repeat, idle_s, seed: As of `open_live_source`.
+        threads: Threads of the inference engine; 0 lets it choose.
     """
 
     camera: str = "0"
@@ -106,11 +104,7 @@ class LiveOptions:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> LiveOptions:
-        """Options from plain values.
-
-        Raises:
-            InputError: a name that is none of them.
-        """
+        """Options from plain values."""
         known = {field.name for field in fields(cls)}
         if unknown := set(values) - known:
             raise InputError(f"no option of a live sensor: {sorted(unknown)}; there are {sorted(known)}")
@@ -122,11 +116,7 @@ class LiveOptions:
         return asdict(self)
 
     def open(self) -> LiveSource:
-        """Open the source.
-
-        Raises:
-            PalpateError: as `open_live_source`.
-        """
+        """Open the source."""
         return open_live_source(
             int(self.camera) if self.camera.isdecimal() and len(self.camera) < 3 else self.camera,
             settings=self._settings(),
@@ -150,17 +140,7 @@ class LiveOptions:
 
 
 class LiveService:
-    """Service of one live sensor to whoever asks, from any thread.
-
-    Args:
-        name: of the sensor, unique among the processes of this user.
-        options: what it is and how it is read.
-
-    Raises:
-        CertificateError: the calibration is none, or damaged.
-        InputError: no such preset. A camera that is not there raises nothing: it
-            is a state.
-    """
+    """Service of one live sensor, for calls from any thread."""
 
     def __init__(self, name: str, options: LiveOptions) -> None:
         self.name, self.options = name, options
@@ -233,17 +213,12 @@ class LiveService:
             return {"run": str(recorder.path), "dropped": recorder.dropped}
 
     def collect(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        """Collect labelled presses into a run of this name; one that is there goes on.
+        """Collect labeled presses into a new or existing run.
 
         Args:
-            request: "run", and where wanted "scale" ("beside" for the force sensor beside the camera, "typed"
-                for weights that are typed, else the serial port of a scale), "unit" (of that scale's lines
-                where they carry none, which weigh nothing without), "asked", "session", "region",
-                "force_range_n".
-
-        Raises:
-            InputError: a scale or a unit that there is none of.
-            DeviceError: the port cannot be opened.
+            request: "run" and optionally "scale" ("beside" for the force sensor next to the camera, "typed"
+                for typed weights, or a serial port), "unit" (for a scale whose lines carry none), "asked",
+                "session", "region", "force_range_n".
         """
         with self._asking:
             self._check_free()
@@ -425,11 +400,7 @@ class LiveService:
 
 
 class Nudge:
-    """Subscriber that has the server tell its clients of each frame sooner.
-
-    Args:
-        server: that tells.
-    """
+    """Subscriber that has the server tell its clients of each frame sooner."""
 
     def __init__(self, server: RpcServer) -> None:
         self._server = server
@@ -443,11 +414,7 @@ class Nudge:
 
 
 class LiveServer(RpcServer):
-    """Lets others on this machine ask a `LiveService`.
-
-    Attributes:
-        ended: set once a client has asked for the end.
-    """
+    """Serves a `LiveService` to processes on this machine."""
 
     def __init__(self, service: LiveService) -> None:
         self.ended = threading.Event()

@@ -41,14 +41,13 @@ class NoFrameYetError(DeviceError):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LiveFrame:
-    """One frame as it came.
+    """Frame with its arrival.
 
     Attributes:
-        frame: with the source's own time of it, `Frame.time_s` [s].
-        arrived_ns: when it was here whole, on the host's monotonic clock [ns].
-        number: of the frame in its source, from 0.
-        lost: frames that the source itself lost before it.
-        why: why it could not be read as an image; empty where it could. Its frame then shows nothing.
+        frame: Image and the time by the source's clock.
+        arrived_ns: Arrival on the host's monotonic clock [ns].
+        lost: Number of frames that the source lost before it.
+        why: Reason why it could not be decoded; empty otherwise. Its frame is then blank.
     """
 
     frame: Frame
@@ -75,12 +74,7 @@ class LiveSource(Protocol):
         """Force sensor beside the camera; None where there is none."""
 
     def grab(self, timeout_s: float) -> LiveFrame | None:
-        """The next frame; None once it has ended.
-
-        Raises:
-            NoFrameYetError: none came in time.
-            DeviceError: the device is gone.
-        """
+        """The next frame; None once it has ended."""
 
     def close(self) -> None:
         """Let go of it. Closing again does nothing."""
@@ -104,15 +98,9 @@ def live_frame(item: Frame | Unreadable, number: int, arrived_ns: int | None = N
 
 
 class CameraFrames(Closing):
-    """Every frame of a camera, real or virtual, in order; those that nobody fetched are lost in the camera.
+    """Every frame of a real or virtual camera, in order; frames not fetched are lost in the camera.
 
-    A frame is asked for with `drain`, not with `grab`, which waits for one exposed wholly after the call and
-    so would leave out every other frame.
-
-    Attributes:
-        name: of the camera.
-        waits: False.
-        force: the force sensor beside it; None where there is none.
+    Frames come from `drain`: `grab` waits for an exposure after the call and would skip every other one.
     """
 
     waits = False
@@ -126,15 +114,12 @@ class CameraFrames(Closing):
         behind_ns: int | None = None,
         let_go: Callable[[], None] | None = None,
     ) -> None:
-        """Take frames of a camera.
+        """Take over an open camera.
 
         Args:
-            camera: that is open.
-            name: of it.
-            force: the sensor of force beside it.
-            behind_ns: how long after its own stamp a frame is here, by the camera's settings [ns]; None takes
-                the moment in which it is fetched, as a virtual frame is drawn only then.
-            let_go: closes camera and force sensor; by default both are closed one by one.
+            behind_ns: Delay from a frame's stamp to its arrival by the camera's settings; None for the time
+                of fetching, as for virtual frames [ns].
+            let_go: Closes camera and force sensor; by default one after the other.
         """
         self.name, self.force = name, force
         self._camera, self._behind_ns, self._let_go = camera, behind_ns, let_go
@@ -142,12 +127,7 @@ class CameraFrames(Closing):
         self._number = self._lost_before = 0
 
     def grab(self, timeout_s: float) -> LiveFrame:
-        """The next frame.
-
-        Raises:
-            NoFrameYetError: none came in time.
-            DeviceError: the camera is gone, and why.
-        """
+        """The next frame."""
         end_s = time.monotonic() + timeout_s
         while not self._waiting:
             self._waiting.extend(self._arrived())
@@ -184,12 +164,7 @@ class CameraFrames(Closing):
 
 
 class HandFrames(CameraFrames):
-    """Frames of a virtual sensor that a virtual hand presses, which lets go while the sensor is zeroed.
-
-    Args:
-        hand: a `palpate.rig.virtual.virtual_hand.VirtualHand`.
-        name: of the sensor.
-    """
+    """Frames of a virtual sensor under a virtual hand, which releases it during a zero."""
 
     def __init__(self, hand: Any, name: str) -> None:
         super().__init__(hand.camera, name, force=hand.force, let_go=hand.close)
@@ -202,9 +177,6 @@ class HandFrames(CameraFrames):
         """The next frame; where drawing has fallen behind, those in between are lost, as in a camera.
 
         The first is one from now on: none is lost before anybody asks for any.
-
-        Raises:
-            NoFrameYetError: none came in time.
         """
         late_s = self.hand.world.now_s - self._last_s
         if self._waiting or (self._number and late_s < max(BEHIND_S, 2 / self.hand.camera.rate_hz)):
@@ -238,13 +210,7 @@ class HandFrames(CameraFrames):
 
 
 class PacedFrames(Closing):
-    """A file played at its own rate, as a camera would have given it: what is not taken in time is lost.
-
-    Attributes:
-        name: of the file.
-        waits: False.
-        force: None.
-    """
+    """File played at its own rate, as a camera would give it; late frames are dropped."""
 
     waits = False
     force: ForceSensor | None = None
@@ -255,9 +221,7 @@ class PacedFrames(Closing):
         """Play a file.
 
         Args:
-            reopened: opens it, at its beginning.
             rate_hz: frames a second where their times tell none, as those of images in a folder [Hz].
-            repeat: begin again at the end, for ever.
         """
         self._reopened, self._repeat = reopened, repeat
         self._period_s = 1.0 / rate_hz if rate_hz > 0 else None
@@ -269,11 +233,7 @@ class PacedFrames(Closing):
         self._shift_s = 0.0  # by which a round's times are later than the file's own
 
     def grab(self, timeout_s: float) -> LiveFrame | None:
-        """The next frame, when its time has come; None at the end.
-
-        Raises:
-            NoFrameYetError: its time has not come.
-        """
+        """The next frame, when its time has come; None at the end."""
         end_s = time.monotonic() + timeout_s
         if self._next is None and not self._fetch(timeout_s):
             return None
@@ -327,26 +287,19 @@ def open_live_source(
     idle_s: float = 2.0,
     seed: int | None = None,
 ) -> LiveSource:
-    """Open whatever gives frames.
+    """Open a source of frames.
 
     Args:
-        address: a camera's number, path (``/dev/video2``) or USB serial number; an image, a folder of images,
-            a run or a video, a folder and a run also while they are written; ``-`` for images on standard
-            input; ``virtual:NAME`` for a virtual hand on a virtual
-            sensor, ``virtual:NAME/INDENTER`` for one on what the sensor names so, such as
-            ``virtual:tactip/S1=7.6``; ``picamera2`` for the camera of a
-            Raspberry Pi.
-        settings: of a camera, `palpate.rig.real.uvc_camera.UvcSettings`; by default 640 × 480 px at 30 Hz.
-        paced: play a file at its own rate, and lose what is not taken in time, as a camera does.
-        repeat: begin a paced file again at its end.
-        rate_hz: of a paced folder, whose images have no times [Hz].
-        idle_s: a folder or run that is being written has ended when nothing came for so long [s].
-        seed: of what a virtual hand does; None lets another hand press each time.
-
-    Raises:
-        DeviceError: there is no such camera, or it refuses.
-        InputError, ImageError, RecordingError: there is nothing to read there.
-        MissingExtraError: the camera needs a package that is not installed.
+        address: Camera number, path (``/dev/video2``), or USB serial number; image, folder, run, or video
+            (folder and run also while they grow); ``-`` for images on standard input; ``virtual:NAME`` or
+            ``virtual:NAME/INDENTER``, such as ``virtual:tactip/S1=7.6``; ``picamera2``.
+        settings: Settings of a camera, `palpate.rig.real.uvc_camera.UvcSettings`; 640 × 480 px at 30 Hz by
+            default.
+        paced: Play a file at its own rate and drop late frames.
+        repeat: Restart a paced file at its end.
+        rate_hz: Rate of a paced folder, whose images have no times [Hz].
+        idle_s: Time without frames after which a growing folder or run has ended [s].
+        seed: Seed of a virtual hand; None for a different one each time.
     """
     text = str(address)
     if not text.strip():

@@ -19,10 +19,8 @@ class Sensed:
     """Readings of one frame.
 
     Attributes:
-        frame: its name.
-        time_s: its capture time [s].
-        readings: each in the unit that its key asks for, ``readings["depth_mm"]`` in mm.
-        latency_s: from the image in memory to the readings [s].
+        time_s: Capture time [s].
+        latency_s: Time from the decoded image to the readings [s].
     """
 
     frame: str
@@ -51,12 +49,8 @@ def sense(estimator: Estimator, source: FrameStream, zero: Zero | None = None) -
     """Read every frame of a source.
 
     Args:
-        estimator: the calibration.
         source: where frames come from.
         zero: the untouched sensor; a run that recorded it by the calibration's rule needs none.
-
-    Raises:
-        ImageError: the calibration is differential, and there is no image of the untouched sensor.
     """
     zeros: dict[int, Zero] = {}
     if zero is None and isinstance(source, RunFrames):

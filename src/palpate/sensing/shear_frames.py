@@ -24,15 +24,12 @@ UNREADABLE = "no_image"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TouchedFrame:
-    """One frame of a source and what it shows.
+    """Touch in one frame of a source.
 
     Attributes:
-        index: of the frame in its source.
-        name: of its file, or its number.
-        time_s: when it was taken [s]; its number where the source does not say.
-        frame: None where it cannot be read as an image.
-        touch: None where it cannot be, or is of another size than the reference.
-        reason: why there is no touch; empty where there is one.
+        time_s: Capture time, or the index without a clock [s].
+        touch: None for an undecodable frame or one of another size than the reference.
+        reason: Reason why there is no touch; empty otherwise.
     """
 
     index: int
@@ -69,11 +66,7 @@ class TouchedFrame:
 
 @contextmanager
 def open_frames(path: PathText) -> Iterator[FrameStream]:
-    """Open an image, a folder of images, a run, a video or a multi-page TIFF.
-
-    Raises:
-        InputError, ImageError: there is nothing to read there.
-    """
+    """Open an image, a folder of images, a run, a video or a multi-page TIFF."""
     path = Path(path)
     if not path.exists():
         raise ImageError(f"{path} is not there; give an image, a folder of images, a run or a video")
@@ -92,11 +85,7 @@ def has_clock(frames: FrameStream) -> bool:
 
 
 def first_frame(path: PathText) -> Frame:
-    """The image at a path, or the first frame of what holds several.
-
-    Raises:
-        ImageError: it cannot be read.
-    """
+    """The image at a path, or the first frame of what holds several."""
     with open_frames(path) as frames:
         for frame in frames:
             if isinstance(frame, Unreadable):
@@ -106,15 +95,7 @@ def first_frame(path: PathText) -> Frame:
 
 
 class ForceInTouch:
-    """Adds a calibration's normal force to the readings of a touch.
-
-    Args:
-        calibration: of this pad.
-        reader: of the frames; a tiled skin's.
-
-    Raises:
-        InputError: another kind of skin, or another lens than the calibration's.
-    """
+    """Adds a calibration's normal force to the readings of a touch."""
 
     def __init__(self, calibration: ShearCalibration, reader: ShearReader) -> None:
         if reader.marks.unit != "m" or not isinstance(reader.skin, TiledSkin):
@@ -153,16 +134,7 @@ class ForceInTouch:
 def read_touches(
     frames: FrameStream, reader: ShearReader, force: ForceInTouch | None = None
 ) -> Iterator[TouchedFrame]:
-    """What each frame shows, in order; one that cannot be read says why and does not end the sequence.
-
-    Args:
-        frames: in their order.
-        reader: of their skin.
-        force: adds newtons.
-
-    Raises:
-        InputError: the first frame is of another size or kind than the reference.
-    """
+    """What each frame shows, in order; one that cannot be read says why and does not end the sequence."""
     clocked = has_clock(frames)
     for i, frame in enumerate(frames):
         if isinstance(frame, Unreadable):

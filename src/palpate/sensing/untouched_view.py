@@ -1,20 +1,13 @@
-"""Touch seen without a calibration: what of a frame differs from the untouched sensor, and where.
+"""Touch without a calibration: where a frame differs from the no-contact frames.
 
-A few frames of the untouched sensor give its mean and its noise. From a frame a change of brightness is
-divided out; its difference to that mean is smoothed lightly, so that noise is measured as it is, correlated
-between neighbours or not, squared over the noise, and averaged over a small neighbourhood, so that a contact
-which is bright on one side and dark on the other is one. Without a touch the result is a mean of squares of
-known variance, which gives the threshold for a stated rate of false alarms. A touch that changes more than
-half of the skin by one and the same factor is taken for a change of brightness.
+The mean and noise come from a few no-contact frames. The difference of a frame, after removal of a brightness
+change, is smoothed lightly, squared over the noise, and averaged over a neighborhood. Without contact this
+is a mean of squares of known variance, which gives the threshold for a false alarm rate. A touch that
+scales more than half of the skin by one factor is interpreted as a brightness change.
 
-Not all that a camera sees touches the skin. A skin between crossed polarisers is dark without stress, and
-only a touch lights it; where pins stand in the skin, only a touch moves them apart. What else differs, or
-differs where the camera sees through the skin, is "in-view".
-
-The contact's region ends where the smoothed difference is half of what it is in its strong part: there lies
-the edge of an evenly changed area, whatever its strength. It is what the image shows, and not the area of
-contact, which needs a calibration. Where a press bends the gel so far that its lights shine elsewhere, the
-strongest change is theirs.
+In a dark field only a touch lights the skin, and with pins only a touch moves them apart; other differences
+are "in-view". The region ends where the smoothed difference falls to half of its strong part: it is what
+the image shows, not the contact area, which needs a calibration.
 """
 
 from __future__ import annotations
@@ -75,12 +68,11 @@ class TouchedRegion:
     """Part of the image that a touch has changed.
 
     Attributes:
-        centre_px: its centroid, x along columns and y along rows of the frame [px].
-        area_px: [px²].
-        outline_px: its outline, closed, in the frame's pixels ``[p 2]``.
-        strength: of its strong part: root mean square difference over the channels [grey levels].
-        centre_mm: from the middle of the skin, x along columns and y along rows [mm]; None without a scale.
-        area_mm2: [mm²]; None without a scale.
+        centre_px: Centroid, x along columns and y along rows [px].
+        outline_px: Closed outline ``[p 2]`` [px].
+        strength: Root mean square difference of its strong part over the channels [gray levels].
+        centre_mm: Centroid from the middle of the skin; None without a scale [mm].
+        area_mm2: None without a scale [mm²].
     """
 
     centre_px: tuple[float, float]
@@ -93,20 +85,15 @@ class TouchedRegion:
 
 @dataclass(frozen=True, slots=True)
 class SeenTouch:
-    """A frame beside the untouched sensor.
+    """Comparison of a frame with the no-contact view.
 
     Attributes:
-        verdict: "untouched", "touched", "in-view" where something is seen that may not touch, or
-            "view-changed" where light, camera or skin are not those of the reference, so that no contact can
-            be told.
-        why: of the verdict, in words.
-        gain: brightness over the reference's, of each channel.
-        change: largest value of the statistic, over that which a touch needs; a touch is above 1 in an area,
-            and single specks of noise are in some 3 % of untouched frames at the usual rate of false alarms.
-        changed_share: of the region in which a difference is seen.
-        region: the largest connected change, or a smaller one where that is weak and this is not; None but
-            for "touched" and "in-view".
-        marks: of the skin and how far they moved; None where none are followed, or the view has changed.
+        verdict: "untouched", "touched", "in-view" (seen, contact uncertain), or "view-changed" (other light,
+            camera, or skin; no contact detectable).
+        change: Largest statistic relative to the threshold of a touch, which exceeds 1 over an area.
+        changed_share: Fraction of the region with a difference.
+        region: Largest connected change, or a smaller one that is stronger; only for "touched" and "in-view".
+        marks: Marks and their motion; None without tracking or with a changed view.
     """
 
     verdict: TouchVerdict
@@ -141,26 +128,20 @@ class Difference(NamedTuple):
 
 
 class UntouchedView:
-    """The untouched sensor, with which frames are compared.
+    """No-contact view, with which frames are compared.
 
     Args:
-        frames: 8-bit grey ``[h w]`` or RGB ``[h w 3]`` images of the untouched sensor, five or more.
-        region: x, y, width and height of the skin in the frame [px]; all of the frame without.
-        false_alarm_rate: about the share of untouched frames in which a touch is seen, at most.
-        least_change: of a touch [grey levels]: what video coding and warming leave is less, and is no noise
-            that a few frames could tell.
-        mm_per_px: of the skin in the frame [mm]; without it lengths are in px alone.
-        marks: pins or dots in the skin that are followed: "bright" or "dark" ones, a description of dots, or
-            "any" that stand on a lattice. A region is then one over several marks.
-        by_marks: whether only marks that have moved apart tell a touch, as of pins in an opaque skin.
-        dark_field: whether the region is dark without stress, as between crossed polarisers. Then brightness
-            is told by what lies beside the region, and what differs there alone is in view.
-        see_through: whether the camera sees through the skin, so that what differs may hang in the air.
-
-    Raises:
-        InputError: too few frames, or of several kinds.
-        ImageError: a frame that is not 8-bit grey or RGB, or marks of a stated kind that are not found.
-        RangeError: a rate, region or scale out of range.
+        frames: Five or more no-contact images, 8-bit gray ``[h w]`` or RGB ``[h w 3]``.
+        region: Skin in the frame (x, y, width, height); the whole frame by default [px].
+        false_alarm_rate: Upper bound of the fraction of no-contact frames reported as touched.
+        least_change: Smallest change of a touch, above effects of video coding and warming [gray levels].
+        mm_per_px: Scale of the skin in the frame; None for lengths in px only.
+        marks: Tracked pins or dots: "bright", "dark", a description of dots, or "any" on a lattice. A region
+            then covers several marks.
+        by_marks: Detect touch only by marks that move apart, as for pins in an opaque skin.
+        dark_field: The region is dark without stress. Brightness then comes from the surroundings, whose
+            differences are "in-view".
+        see_through: The camera sees through the skin, so differences may lie in the air.
 
     Example:
         >>> rng = np.random.default_rng(0)
@@ -226,13 +207,8 @@ class UntouchedView:
         """View of a sensor that people own, with its region, scale and marks.
 
         Args:
-            preset: what is known of it.
-            frames: of it, untouched.
             false_alarm_rate: see above.
             look_for_marks: whether to look for marks, which takes seconds, where it may or may not have any.
-
-        Raises:
-            InputError, ImageError, RangeError: see above; or frames that are squeezed.
         """
         if not frames:
             raise InputError(f"no frame of the untouched sensor; {MIN_FRAMES} or more tell its noise")
@@ -280,14 +256,7 @@ class UntouchedView:
         self.threshold = upper_quantile(rate / places, weights, channels) * max(1.0, reached / hardly)
 
     def seen(self, image: Shaped[ndarray, ...]) -> SeenTouch:
-        """The frame beside the reference.
-
-        Args:
-            image: of the kind of the reference's frames.
-
-        Raises:
-            InputError: of another size or kind.
-        """
+        """The frame beside the reference."""
         difference = self.difference(image)
         gain = tuple(float(g) for g in difference.gain)
         over = difference.statistic > self.threshold
@@ -346,12 +315,7 @@ class UntouchedView:
         return Difference(smoothed, self._statistic(smoothed, gain), gain)
 
     def picture(self, image: Shaped[ndarray, ...], times: float = 4.0) -> UInt8[ndarray, "h w *c"]:
-        """Difference as an image of the region: grey level 128 is none, and differences are magnified.
-
-        Args:
-            image: of the kind of the reference's frames.
-            times: magnification of a difference.
-        """
+        """Difference as an image of the region: grey level 128 is none, and differences are magnified."""
         width, height = self.region[2:]
         apart = self.difference(image).smoothed
         shown = np.clip(128 + times * apart, 0, 255).astype(np.uint8)

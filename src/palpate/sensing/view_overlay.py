@@ -63,9 +63,7 @@ class FrameOverlay:
     Attributes:
         lines: the skin's region, and the outline of the touched one.
         dots: the touched region's centre, and marks that have not moved.
-        arrows: of marks that moved.
         texts: the verdict, and what can be said of the region.
-        arrow_times: by which arrows are magnified.
     """
 
     lines: tuple[OverlayLine, ...]
@@ -85,12 +83,8 @@ def overlay_of(
     """Shapes that show what was seen.
 
     Args:
-        seen: a frame beside the untouched sensor.
         skin: x, y, width and height of the skin in the frame, to be outlined [px].
         arrow_times: by which the motion of marks is magnified.
-
-    Raises:
-        RangeError: a magnification that is not above 0.
     """
     if not arrow_times > 0:
         raise RangeError(f"arrows {arrow_times} times as long as marks moved; give a factor above 0")

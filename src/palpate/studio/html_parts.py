@@ -20,8 +20,6 @@ def table_html(heads: Sequence[str], rows: Sequence[Sequence[str]], look: str = 
     """A table of cells that are HTML; on a narrow page each cell says its column's name itself.
 
     Args:
-        heads: names of the columns.
-        rows: their cells.
         look: class of the style sheet, for columns of widths of their own.
     """
     head = "".join(f"<th>{escape(name)}</th>" for name in heads)

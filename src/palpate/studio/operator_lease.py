@@ -29,7 +29,6 @@ class Operator:
     """Browser that may hold the rig.
 
     Attributes:
-        key: from its cookie; told to nobody else.
         where: the address it asks from, for others to be told.
     """
 
@@ -50,11 +49,7 @@ class RigLease:
         self._seen_s = self._acted_s = 0.0
 
     def take(self, operator: Operator) -> None:
-        """Take the rig, or keep it: to be called before each thing that is asked of it.
-
-        Raises:
-            SafetyError: another holds it; who, and what can be done.
-        """
+        """Take the rig, or keep it: to be called before each thing that is asked of it."""
         with self._turn:
             holder = self._current()
             if holder is not None and holder.key != operator.key:

@@ -142,12 +142,7 @@ def limited_http() -> type[LimitedHttp]:
 
 
 class PageQueue:
-    """Layer that limits how many pages are made at the same time.
-
-    Args:
-        app: what is served.
-        paths: addresses of pages.
-    """
+    """Layer that limits how many pages are made at the same time."""
 
     def __init__(self, app: ASGIApp, paths: Collection[str]) -> None:
         self._app, self._paths, self._count = app, frozenset(paths), 0

@@ -1,10 +1,8 @@
-"""Security of the pages: nobody frames them, and nobody but they themselves asks for anything.
+"""Security of the pages: no framing, and requests only from the pages themselves.
 
-What listens on 127.0.0.1 is in reach of every page that is open in the operator's browser. Such a page can
-show ours in a frame and have it clicked, open its socket, or post to it; one whose name is made to point here
-is even of one origin with us. The browser says in each request which name it asked for (Host), for which page
-it asks (Origin, Sec-Fetch-Site; no script can set them), and obeys what an answer says of frames. So one
-layer around the whole application checks the first two, and adds the third to every answer, errors too.
+Every page open in the operator's browser can reach 127.0.0.1: it could frame these pages, open their socket,
+post to it, or point its own name here (DNS rebinding). One layer around the application therefore checks
+Host, Origin, and Sec-Fetch-Site of each request and forbids frames in every answer, including errors.
 """
 
 from __future__ import annotations
@@ -51,8 +49,6 @@ class PageSecurity:
     """Layer around an application: checks who asks, and adds `HEADERS` to every answer.
 
     Args:
-        app: what is served.
-        names: by which it may be asked for.
         stop_port: of the emergency stop listener, which pages may send requests to; 0 for none.
     """
 
@@ -78,10 +74,10 @@ class PageSecurity:
 
 
 def names_of_server(host: str) -> Callable[[str], bool]:
-    """Say by which names a server may be asked for that listens at an address.
+    """Return the names by which a server at an address may be requested.
 
-    At every address (0.0.0.0) it is any address written as a number, or this machine's own name: a name of
-    somebody else's that is made to point here is neither.
+    For all addresses (0.0.0.0): any numeric address and this machine's own name, so a foreign name that
+    resolves to this machine is rejected.
     """
     bound = host.strip("[]").lower()
     if bound not in EVERY_ADDRESS:
@@ -99,10 +95,10 @@ def names_of_server(host: str) -> Callable[[str], bool]:
 
 
 def refusal(scope: Scope, names: Callable[[str], bool] = LOCAL.__contains__) -> tuple[int, str] | None:
-    """Reason not to answer, with its HTTP status; None where nothing speaks against it.
+    """Return the HTTP status and reason of a rejection; None for an accepted request.
 
-    A request without Origin is a program's on this machine, or a browser's that reads: browsers name the page
-    with every post and every socket (RFC 6455, 10.2).
+    A request without Origin comes from a local program or a browser's read: browsers send it with every post
+    and socket (RFC 6455, 10.2).
     """
     if scope["type"] == "http" and scope["path"] == ESTOP_PATH:
         # A stop only makes safer, and none may be refused by mistake: for a header that an extension or a
@@ -188,15 +184,13 @@ terminal.</p><p>If the terminal is closed, end that command and start it again f
 
 
 class TokenGate:
-    """Layer inside `PageSecurity` that asks everybody for a token, the emergency stop and sockets included.
+    """Layer inside `PageSecurity` that requires a token everywhere, including the emergency stop and sockets.
 
-    Whoever opens a page with ``?token=...`` gets it as a cookie that no script reads and no other site sends,
-    and is sent on to the same address without it. A program may send ``Authorization: Bearer ...`` instead.
+    A page opened with ``?token=...`` receives it as an HttpOnly, same-site cookie and is redirected to the
+    address without it. Programs may send ``Authorization: Bearer ...``.
 
     Args:
-        app: what is served.
-        token: that is asked for.
-        port: of the server; a browser keeps cookies by name of a machine alone, so that the cookie names it.
+        port: Port of the server, part of the cookie's name because browsers keep cookies by machine only.
     """
 
     def __init__(self, app: ASGIApp, token: str, port: int) -> None:

@@ -1,10 +1,8 @@
-"""Page server of the studio: loopback by default, for its own pages only, with limits on what clients take.
+"""Page server of the studio: loopback by default, for its own pages only, with limits on clients.
 
-The emergency stop does not depend on it. `estop.html` is plain HTML next to the page's own elements and sends
-its requests to the listener of `stop_process`. The page server forwards them where a browser cannot reach the
-listener, for example through an SSH tunnel of one port.
-
-Addresses under which the pages get the newest pictures of live sensors and of first sessions.
+The emergency stop does not depend on it: `estop.html` is plain HTML and sends its requests to the listener of
+`stop_process`. The page server forwards them where a browser cannot reach the listener, for example through
+an SSH tunnel of one port.
 """
 
 from __future__ import annotations
@@ -112,16 +110,9 @@ class StudioParts:
     """Parts of the studio that all pages of one server share.
 
     Attributes:
-        client: of the rig's process.
         runs: the folder that the rig's recordings go into, to be named on the page.
-        desk: objects and bench of softness.
-        workspace: whose runs, calibrations and experiments are shown.
         launch_rig: starts the rig's process and waits until it answers.
         folder: address files of the workspace's processes; None for the user's own.
-        lease: of the rig, among browsers.
-        jobs: that take long.
-        lives: sensors that are read live.
-        starts: first sessions.
     """
 
     client: RigClient
@@ -150,10 +141,7 @@ def serve_pages(parts: StudioParts, port: int, token: str, host: str = HOST) -> 
     """Serve the pages until the process is told to end (Ctrl-C).
 
     Args:
-        parts: what they show.
-        port: of the server.
         token: that every request carries, in the address or in a cookie.
-        host: the address to listen at.
     """
     import uvicorn
 
@@ -286,11 +274,7 @@ def _whole(text: str | None) -> int:
 
 
 def check_port(port: int, host: str = HOST) -> None:
-    """Refuse a port that is taken, or an address that is not here, before anything is started.
-
-    Raises:
-        DeviceError: nobody can listen there, with the port, the host and what to do.
-    """
+    """Refuse a port that is taken, or an address that is not here, before anything is started."""
     try:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         with socket.create_server((host, port), family=family):

@@ -25,13 +25,7 @@ Begin = Callable[[BenchFile, SoftObject, Mode, float, float], RenderingSession]
 
 
 class RenderingDesk:
-    """Objects, bench and rendering, shared by all tabs.
-
-    Args:
-        folder: of objects' files.
-        bench: which devices.
-        begin: begins a rendering.
-    """
+    """Objects, bench and rendering, shared by all tabs."""
 
     def __init__(self, folder: Path, bench: BenchFile, begin: Begin = RenderingSession) -> None:
         self.folder, self.bench, self._begin = folder, bench, begin
@@ -80,11 +74,7 @@ class RenderingDesk:
             return [one for one in self._samples if one.time_s > newest_s - KEPT_S]
 
     def begin(self, name: str, mode: Mode, peak_n: float, frequency_hz: float) -> None:
-        """Begin to render an object, or turn into it where one is rendered in the same mode.
-
-        Raises:
-            PalpateError: it cannot be rendered, or a device does not open.
-        """
+        """Begin to render an object, or turn into it where one is rendered in the same mode."""
         path = self.folder / f"{name}.toml"
         soft = read_object(path)
         with self._turn:

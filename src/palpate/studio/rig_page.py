@@ -36,8 +36,6 @@ class RigPage:
     Args:
         client: of the rig's process; shared by all tabs.
         runs: the folder that recordings go into, to be named.
-        lease: of the rig; shared by all tabs.
-        operator: whose tab it is.
         launch: starts the rig's process and waits until it answers.
     """
 

@@ -1,9 +1,7 @@
-"""Ages of what the page shows: how old each number of the machine is, by the clock of whoever shows it.
+"""Age of each displayed number: rig process, page server, and browser each add their part.
 
-A number ages three times: in the rig's process until it is told, in the page's server until it is sent, and
-in the browser until something newer comes. The process tells its share; this module adds the server's, and
-`ages.html` the browser's, which also marks what is old. So no number looks current for longer than
-`MAX_FRESH_S`, whoever of the three has fallen silent.
+The process reports its part, this module adds the server's, and `ages.html` the browser's and marks old
+values, so no number looks current for longer than `MAX_FRESH_S` when any of the three is silent.
 """
 
 from __future__ import annotations
@@ -24,16 +22,15 @@ PARTS = ("force", "position", "camera")
 
 
 def ages_at(now_s: float, status: Mapping[str, Any] | None, told_s: float | None) -> Ages:
-    """Age of each part of a status that is shown [s]; None of what there never was.
+    """Return the age of each displayed part of a status by name; None for parts never received [s].
+
+    "process" counts from its last message, "engine" from the recorder's (else as "process"); further "force",
+    "position", "camera".
 
     Args:
-        now_s: the monotonic time now [s].
-        status: the last that was told, however long ago; None where it was not kept.
-        told_s: when that was, on the same clock; None where nothing ever was.
-
-    Returns:
-        By name: "process", since its process told anything; "engine", since whoever records did, or the
-        former where nothing is recorded; "force", "position", "camera".
+        now_s: Monotonic time now [s].
+        status: Last status received; None if not kept.
+        told_s: Time of its arrival on the same clock; None for never.
     """
     if told_s is None:
         return dict.fromkeys(("process", "engine", *PARTS))
@@ -55,10 +52,5 @@ def ages_attribute(ages: Ages, beat: int) -> str:
 
 
 def age_note(part: str, what: str) -> ui.element:
-    """Place where the page's script says how old something is, where that is too much.
-
-    Args:
-        part: whose age it is.
-        what: begins the words, such as "force".
-    """
+    """Place where the page's script says how old something is, where that is too much."""
     return ui.element("span").classes("age").props(f'data-says-age-of="{part}" data-what="{what} "')

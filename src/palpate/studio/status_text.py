@@ -68,10 +68,10 @@ def doing(status: Mapping[str, Any]) -> str:
 
 
 def done_by_place(plan: RecordingPlan, shots: int) -> dict[str, float]:
-    """Share of each place's presses whose shots are all recorded.
+    """Return the recorded fraction of each location's presses.
 
-    Shots are recorded in the plan's order, and a resumed recording begins at the first that is missing; so
-    their number tells which they are.
+    Shots are recorded in the plan's order and a resumed recording starts at the first missing one, so their
+    count identifies them.
     """
     done: dict[str, list[bool]] = {}
     for press in plan.presses():

@@ -27,8 +27,6 @@ def rig_targets(rig: str, bench: str, folder: Path | None) -> Targets:
 
     Args:
         rig: name of the rig, as `rig_name` gives it.
-        bench: name of the softness bench.
-        folder: address files of the workspace.
     """
     shared = shared_folder(folder)
     return {
@@ -43,13 +41,7 @@ class StopListener(Closing):
     It outlives the page server until every process that moves something has ended.
 
     Args:
-        targets: address files by name.
-        host: address to listen at.
         port: preferred port; if it is taken, the system chooses one.
-
-    Attributes:
-        port: that the listener has.
-        token: that each request carries.
     """
 
     def __init__(self, targets: Targets, host: str = "127.0.0.1", port: int = 0) -> None:
@@ -66,11 +58,7 @@ class StopListener(Closing):
         return self._process.pid
 
     def ask(self, do: str) -> dict[str, Any]:
-        """Send a request, and return the answer.
-
-        Raises:
-            DeviceError: the listener does not answer.
-        """
+        """Send a request, and return the answer."""
         host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(self._host, self._host)  # noqa: S104 - compared with
         connection = http.client.HTTPConnection(host, self.port, timeout=ANSWER_S)
         try:

@@ -62,7 +62,6 @@ class Link:
 
     Args:
         path: address file, as `palpate.devices.rpc.publish` writes it.
-        selector: of the event loop.
     """
 
     def __init__(self, path: str, selector: selectors.BaseSelector) -> None:
@@ -89,11 +88,7 @@ class Link:
         return is_moving(self._status)
 
     def connect(self, *, now: bool = False) -> bool:
-        """Connect if the process is alive; whether it is.
-
-        Args:
-            now: also if an attempt has just failed.
-        """
+        """Connect if the process is alive; whether it is."""
         if self._socket is None and (now or time.monotonic() - self._tried_s > AGAIN_S):
             self._tried_s = time.monotonic()
             self._alive = self._try()
@@ -211,13 +206,7 @@ class Link:
 
 
 class Target:
-    """What is stopped under one name, by any of several processes: one of them may hang.
-
-    Args:
-        name: shown to the operator.
-        paths: address files of the processes.
-        selector: of the event loop.
-    """
+    """What is stopped under one name, by any of several processes: one of them may hang."""
 
     def __init__(self, name: str, paths: list[str], selector: selectors.BaseSelector) -> None:
         self.name = name
@@ -235,12 +224,7 @@ class Target:
 
 
 class Stop:
-    """One stop that waits for the confirmation of each target.
-
-    Args:
-        targets: all that may be stopped.
-        done: receives the answer.
-    """
+    """One stop that waits for the confirmation of each target."""
 
     def __init__(self, targets: list[Target], done: Callable[[dict[str, Any]], None]) -> None:
         self._begun_s, self._done = time.monotonic(), done

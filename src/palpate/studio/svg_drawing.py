@@ -36,11 +36,7 @@ def grid_svg(
 
     Args:
         places: where the probe comes down.
-        outline: of the skin.
-        probe_mm: diameter of the probe.
         done: of each place's name, the share of its presses that is recorded.
-        now: the place that is pressed.
-        at_mm: of the stage.
     """
     done = done or {}
     layer_mm = 2e3 * outline.radius_m

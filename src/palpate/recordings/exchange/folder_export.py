@@ -18,24 +18,11 @@ LABELS_NAME = "labels.csv"
 
 
 def export_folder(run: Run, path: PathText, progress: ProgressCount | None = None) -> int:
-    """Write a run as a folder of PNG files with tables beside them.
+    """Write a run as a new folder of PNG files and tables; return the number of frames.
 
-    The folder holds ``images/000000.png`` and so on; ``labels.csv``, whose column ``frame_file`` names each
-    row's image and ``frame_time_s`` its time [s]; ``force.csv``, ``stage.csv`` and ``events.csv`` where the
-    run has such a channel; and ``manifest.json``. `import_images` with ``frame_file`` as image column reads
-    frames, times and labels back unchanged, provided that no label is missing.
-
-    Args:
-        run: what to export.
-        path: the folder to make; must not exist.
-        progress: told how many frames are written of how many.
-
-    Returns:
-        The number of frames written.
-
-    Raises:
-        ExistsError: `path` exists.
-        LabelError: a text of the run is one that a spreadsheet would run as a formula.
+    The folder holds ``images/000000.png`` and so on, ``labels.csv`` with the columns ``frame_file`` and
+    ``frame_time_s`` [s], ``manifest.json``, and ``force.csv``, ``stage.csv``, and ``events.csv`` for recorded
+    channels. `import_images` reads it back unchanged if no label is missing.
     """
     with new_folder(Path(path)) as building:
         _write_table(building / LABELS_NAME, _labels(run))

@@ -1,10 +1,8 @@
-"""Sequences of frames, whatever they are stored as: a multi-page TIFF, a video, a folder, a run.
+"""Sequences of frames: multi-page TIFF, video, folder, or run.
 
-Before any page of a TIFF is decoded its chain of directories is walked: a chain that comes back to itself,
-leaves the file or is longer than any recording is refused. The file stays open, since opening it anew for
-every page takes far longer than reading one. A TIFF is written page by page, uncompressed, so that whatever
-reads a TIFF reads it. How many frames a video holds is known for certain only after the last: what its header
-says is checked then. Decoding loses what the codec has lost; touch is better recorded as TIFF or as a run.
+The chain of TIFF directories is checked for loops, bounds, and length before a page is decoded, and the file
+stays open because reopening it for each page is slow. The frame count in a video's header is verified
+after the last frame.
 """
 
 from __future__ import annotations
@@ -34,18 +32,11 @@ class TiffFrames(Closing):
     """The pages of a TIFF, all of one size and kind; use it in a `with` block, or `close` it.
 
     Attributes:
-        path: the file.
         shape: of every frame, ``(h, w)`` or ``(h, w, 3)``.
     """
 
     @parser("TIFF", ImageError, max_bytes=1 << 40)
     def __init__(self, path: Path, *, max_pages: int = MAX_PAGES) -> None:
-        """Open a file.
-
-        Raises:
-            ImageError: it is missing, damaged, no TIFF, of too many pages, or its first page is no 8-bit grey
-                or RGB image.
-        """
         self.path = Path(path)
         refuse_missing(self.path)
         with storage_errors(self.path), self.path.open("rb") as file:
@@ -68,12 +59,7 @@ class TiffFrames(Closing):
 
     @parser("TIFF page", ImageError)
     def __getitem__(self, index: int) -> Image:
-        """Frame by its number.
-
-        Raises:
-            RangeError: there is no such page.
-            ImageError: it is damaged, or not as the first is.
-        """
+        """Frame by its number."""
         if not 0 <= index < len(self):
             raise RangeError(
                 f"{self.path} has pages 0 to {len(self) - 1}, and {index} was asked for", code="index-range"
@@ -110,15 +96,7 @@ class TiffFrames(Closing):
 
 
 def write_tiff(path: Path, frames: Iterable[Image]) -> int:
-    """Write frames as the pages of a new TIFF, each as it comes; the file appears whole or not at all.
-
-    Returns:
-        How many there were.
-
-    Raises:
-        ExistsError: `path` exists.
-        ImageError: there was none, one is no 8-bit grey or RGB image, or not of the first's size.
-    """
+    """Write frames as the pages of a new TIFF, each as it comes; the file appears whole or not at all."""
     shapes: list[tuple[int, ...]] = []
     with new_file(path) as building, tifffile.TiffWriter(building, ome=False) as writer:
         for image in frames:
@@ -195,17 +173,11 @@ class VideoFrames:
     """The frames of a video, grey where all three channels are one.
 
     Attributes:
-        path: the file.
         rate_hz: frames a second, as the header says; 0 where it says nothing.
     """
 
     @parser("video", ImageError, max_bytes=1 << 40)
     def __init__(self, path: Path) -> None:
-        """Open a file, and close it again: every iteration decodes anew.
-
-        Raises:
-            ImageError: it is missing, no video that can be decoded, or claims what no camera makes.
-        """
         self.path = Path(path)
         refuse_missing(self.path)
         capture = cv2.VideoCapture(str(self.path))

@@ -57,9 +57,6 @@ def decode(data: np.ndarray) -> Image:
     """The 8-bit grey ``[h w]`` or RGB ``[h w 3]`` image in PNG bytes ``[n]``.
 
     The header is judged before anything is decoded, so a bomb costs nothing.
-
-    Raises:
-        ImageError: not a whole PNG, of another kind, or larger than `MAX_PIXELS`.
     """
     shape, read_as = _expected(data)
     image = _decoded(data, read_as)
@@ -145,15 +142,10 @@ def read_image(path: PathText, *, max_pixels: int = 100_000_000) -> Image:
     Damage inside a JPEG's or BMP's pixels cannot be told from content: those formats carry no checksum.
 
     Args:
-        path: the file.
         max_pixels: largest image that is decoded; the header is asked before any pixel is.
 
     Returns:
         8-bit grey ``[h w]``, or RGB ``[h w 3]``.
-
-    Raises:
-        ImageError: the file is missing, no file, empty, truncated, damaged, animated or of several pages,
-            deeper than 8 bits, CMYK, with transparency, larger than `max_pixels`, or of another format.
     """
     path = Path(path)
     return image_from_bytes(
@@ -166,11 +158,7 @@ def image_from_bytes(data: bytes, path: Path, *, max_pixels: int = MAX_PIXELS) -
     """Image in the bytes of an image file, as `read_image` reads it.
 
     Args:
-        data: the whole file.
         path: what the file is called where it cannot be read.
-        max_pixels: largest image that is decoded.
-
-    Returns, Raises: as `read_image`.
     """
     decoder = _decoder(path, data)
     with _damage_explained(path):

@@ -1,11 +1,7 @@
-"""A folder of single images and a table of labels, turned into a run.
+"""Import of a folder of single images with a table of labels.
 
-Whether rows of labels stand beside their own images, or are shifted against them by some rows.
-
-From one image to the next, picture and label change together. A linear map from the change of a small picture
-to the change of a label is fitted on half of the rows and scored on the other, once with the rows as they
-stand and once shifted by a few; where a shift explains much more, the rows are off by it. Changes rather than
-values, since a label that goes up and down slowly looks alike a row later.
+Rows shifted against their images are detected by a linear map from changes of small pictures to changes of a
+label, fitted on half of the rows and scored on the other, for several shifts.
 """
 
 from __future__ import annotations
@@ -72,15 +68,10 @@ def small_picture(image: Image) -> Float[np.ndarray, " k"]:
 
 
 def explained_by_shift(pictures: Float[np.ndarray, "n k"], labels: Values) -> dict[int, float]:
-    """Share of the labels' changes that the pictures' changes explain, by shift of the rows.
+    """Return shift -> best out-of-sample fraction of label changes that the picture changes explain.
 
     Args:
-        pictures: of the images in their order.
-        labels: ``[n t]`` numbers of the rows in their order.
-
-    Returns:
-        Shift -> best share over the labels, out of sample; at shift ``s`` row ``i + s`` stands beside image
-        ``i``.
+        labels: ``[n t]``; at shift ``s`` row ``i + s`` belongs to image ``i``.
     """
     change = np.diff(pictures, axis=0)
     change = change - change.mean(axis=0)
@@ -136,15 +127,12 @@ _GROUP_NAMES = frozenset(name for columns in CONVENTIONAL_GROUPS for name in col
 
 @dataclass(frozen=True, slots=True)
 class ImportReport:
-    """Report of what was imported.
+    """Result of an import.
 
     Attributes:
-        frames: number of frames in the run.
-        columns: labels of the run, in the table's order.
-        units: unit of each column of numbers that names one.
-        unitless: columns of numbers whose names carry no unit; they can group frames, and cannot be targets.
-        doubts: sentences on units that do not fit their numbers, and on rows that seem shifted against the
-            images.
+        units: Unit of each number column that names one.
+        unitless: Number columns without a unit; they can group frames, but not be targets.
+        doubts: Warnings about implausible units and shifted rows.
     """
 
     frames: int
@@ -183,51 +171,31 @@ def import_images(
     strict: bool = False,
     progress: ProgressCount | None = None,
 ) -> ImportReport:
-    """Turn a folder of images and their labels into a run; row ``i`` of the labels becomes frame ``i``.
+    """Import a folder of images with labels as a new run; row ``i`` of the labels becomes frame ``i``.
 
-    Every row and every image is checked before the run is begun, and the run appears whole or not at all.
-    What `export_folder` wrote comes back with its frames, times and labels unchanged, and with the sensor,
-    rig, licence and origin of its manifest where these are not given.
+    All rows and images are checked before the run is created. A folder written by `export_folder` keeps its
+    frames, times, labels, and, unless given, its sensor, rig, license, and origin.
 
     Args:
-        folder: where the images are, themselves or in a folder ``images`` of it.
-        run: the run to make; must not exist.
-        labels: file of labels, as given or inside `folder`: text in columns, JSON, a NumPy array or Parquet.
-            A pattern such as ``*/labels.csv`` takes a table a session, whose folder becomes the label
-            ``session``; ``*.json`` takes a file an image.
-        image_column: the column that names each row's image, relative to `folder`, to the table's own folder
-            or to a folder ``images`` of these; None finds one of the usual names, see `IMAGE_COLUMNS`.
-        name_pattern: in place of `labels`: names of the images, as ``x{x_mm}_f{force_N}.png``.
-        columns: names of the columns, where the file has none.
-        decimal: ``point``, ``comma``, or ``auto``, which refuses numbers that could be either.
-        in_order: take row ``i`` for the ``i``-th image, counted by the numbers in their names.
-        rename: a column's name -> the name in the run.
-        units: a column's name, as renamed -> its unit; ``depth`` in ``mm`` becomes ``depth_mm``.
-        sensor: which sensor the images are of.
-        licence: of the data.
-        origin: who recorded it, and where it was had from.
-        provenance: measured, simulated, or derived; left out, that of an exported run, else measured.
-        rig: what the sensor stood on.
-        rate_hz: frames a second, where the images are a sequence at a steady rate [Hz]; without it and
-            without `time_column` the run's times are ordinal: frame ``i`` is at ``i`` seconds.
-        time_column: the column that holds each frame's time [s], strictly increasing, as renamed.
-        order_by: the column of numbers, as renamed, that rows are put in the order of: that in which they
-            were taken. Without it, rows whose labels are in the images' names lie in the order of the names,
-            and the run says that the order of recording is not known; a rate or a column of times says that
-            it is.
-        allow_unlabelled: leave out images that no row names, rather than refuse the folder.
-        strict: refuse columns of numbers whose names carry no unit, unless they are called as groups are,
-            such as ``press``. Without it the report's `no_targets` names them, and they cannot be targets.
-        progress: told how many steps are done of how many; an image is checked in one and written in another.
-
-    Raises:
-        ExistsError: `run` exists.
-        LabelError: labels are damaged, lack the column, name an image twice, or one that is not there or
-            not inside `folder`; a number is missing; or an image has no row.
-        UnitError: `strict`, and a column of numbers carries no unit; or a unit is not known.
-        ImageError: an image cannot be read, or is not of the first one's size and kind.
-        InputError: `folder` is none, or `rate_hz` is no rate or given beside `time_column`.
-        RecordingError: `folder` was exported and its manifest is damaged.
+        folder: Folder that holds the images, directly or in ``images``.
+        labels: Label file, absolute or inside `folder`: text table, JSON, NumPy array, or Parquet. A pattern
+            such as ``*/labels.csv`` takes one table a session, whose folder becomes the label ``session``;
+            ``*.json`` takes one file an image.
+        image_column: Column with the image of each row, relative to `folder`, to the table's folder, or to
+            ``images`` in these; None takes the first of `IMAGE_COLUMNS`.
+        name_pattern: Alternative to `labels`: pattern of the image names, such as ``x{x_mm}_f{force_N}.png``.
+        columns: Column names of a file without a header.
+        decimal: ``point``, ``comma``, or ``auto``, which rejects ambiguous numbers.
+        in_order: Assign row ``i`` to the ``i``-th image, ordered by the numbers in the names.
+        rename: Column name -> name in the run.
+        units: Column name after `rename` -> unit; ``depth`` in ``mm`` becomes ``depth_mm``.
+        provenance: Measured, simulated, or derived; by default that of an exported run, else measured.
+        rate_hz: Constant frame rate. Without it and `time_column`, frame ``i`` is at ``i`` seconds (ordinal).
+        time_column: Column of strictly increasing times [s].
+        order_by: Number column that states the recording order. Without it, labels in image names leave the
+            order unknown, unless a rate or time column is given.
+        allow_unlabelled: Ignore images without a row.
+        strict: Reject number columns without a unit unless they are group columns such as ``press``.
     """
     folder, run = Path(folder), Path(run)
     refuse_existing(run)

@@ -26,11 +26,7 @@ class ImageCutter:
         self._held = bytearray()
 
     def feed(self, data: bytes) -> Iterator[bytes]:
-        """Each image file that is whole now; of a PNG that was cut short its first bytes, which are none.
-
-        Raises:
-            ImageError: one is longer than 64 MiB; it is skipped, and the next bytes may be fed.
-        """
+        """Each image file that is whole now; of a PNG that was cut short its first bytes, which are none."""
         self._held += data
         while True:
             self._skip_to_image()

@@ -51,16 +51,11 @@ def read_label_file(
     archive of them holds a column (or ``[n k]``) each.
 
     Args:
-        path: the file.
         names: of the columns, where the file itself has none.
         decimal: what stands before decimals in a table of text, see `read_labels`.
         kinds: of columns where a reader must not guess.
         holds_all: whether the file is that of all images, so that one object of JSON with one list of objects
             in it holds its rows there.
-
-    Raises:
-        LabelError: the file is missing, damaged, too large, a pickle, or does not make a table.
-        MissingExtraError: it is Parquet, and pyarrow is not installed.
     """
     if not path.is_file():
         raise LabelError(f"table of labels {path} is not there (or no plain file); check the name")
@@ -83,11 +78,7 @@ def read_label_file(
 
 
 def json_table(rows: Sequence[Any], source: Path) -> pd.DataFrame:
-    """A table of JSON objects, a row each, in the columns of all of them.
-
-    Raises:
-        LabelError: a row is no object, or holds what is no label.
-    """
+    """A table of JSON objects, a row each, in the columns of all of them."""
     flat: list[dict[str, Any]] = []
     for number, row in enumerate(rows, start=1):
         if not isinstance(row, dict):
@@ -197,11 +188,7 @@ def holds_one_object(path: Path) -> bool:
 
 @parser("label object", LabelError, max_bytes=MAX_LABEL_BYTES)
 def read_json_object(path: Path) -> dict[str, Any]:
-    """The one object of a file that labels one image.
-
-    Raises:
-        LabelError: it is missing, damaged, too large, or holds something else.
-    """
+    """The one object of a file that labels one image."""
     if not path.is_file() or path.stat().st_size > MAX_LABEL_BYTES:
         raise LabelError(f"{path} is no plain file, or too large")
     rows = _json_rows(path)

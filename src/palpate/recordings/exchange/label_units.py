@@ -19,14 +19,7 @@ def with_units(
     """Rename columns, and append a unit to the names of those that have none.
 
     Args:
-        table: the labels.
-        renames: a column's name -> its new one.
         units: a column's name, or its new one -> its unit; ``depth`` in ``mm`` becomes ``depth_mm``.
-        source: what the labels came from, for messages.
-
-    Raises:
-        LabelError: a column is not there, or a new name is empty, taken, or begins as the code's own do.
-        UnitError: a unit is not known, or the column has one already.
     """
     _refuse_strangers(table, renames, source)
     for old, new in renames.items():
@@ -90,12 +83,7 @@ def guessed_unit(name: str) -> str | None:
 
 @dataclass(frozen=True, slots=True)
 class UsualSize:
-    """Sizes that touch has of a quantity: the largest magnitude of a column usually lies between.
-
-    Attributes:
-        smallest, largest: in SI.
-        why: of the largest, in words.
-    """
+    """Sizes that touch has of a quantity: the largest magnitude of a column usually lies between."""
 
     smallest: float
     largest: float
@@ -122,11 +110,7 @@ _HALF_TURNS = (math.pi / 2, math.pi, 2 * math.pi)
 
 
 def unit_doubts(table: pd.DataFrame) -> tuple[str, ...]:
-    """Sentences on columns whose numbers do not look like the unit in their name.
-
-    Args:
-        table: the labels, one row an image.
-    """
+    """Sentences on columns whose numbers do not look like the unit in their name."""
     doubts = []
     for name, kind in label_kinds(table).items():
         if not has_unit(name):
@@ -194,10 +178,7 @@ def _missing(name: str, values: np.ndarray, unusual: bool) -> str:
 
 
 def _ends_as_radians(size: float, rows: int) -> bool:
-    """True where the largest angle lies just below a quarter, a half or a whole turn in radians.
-
-    Of `rows` angles spread evenly over a range the largest lies within a few parts in `rows` of its end.
-    """
+    """True where the largest angle lies just below a quarter, a half or a whole turn in radians."""
     reach = min(5 / rows, 0.03)
     return any(turn * (1 - reach) <= size <= turn * 1.001 for turn in _HALF_TURNS)
 

@@ -46,17 +46,15 @@ _FIELD = re.compile(r"\{([^{}]*)\}")
 
 @dataclass(frozen=True, slots=True)
 class LabelLayout:
-    """Where labels are, and how they say which image they belong to.
+    """Location of the labels and their assignment to images.
 
     Attributes:
-        labels: file of labels, or a pattern such as ``*/labels.csv`` (a table a session) or ``*.json`` (a
-            file an image), as given or inside the folder; None where the images' names hold them.
-        image_column: column that names each row's image; None takes the one of `IMAGE_COLUMNS`.
-        name_pattern: names of the images with a field a label, as ``x{x_mm}_f{force_N}.png``.
-        columns: names of the columns, where the file has none.
-        decimal: what stands before decimals, see `read_labels`.
-        in_order: whether row ``i`` belongs to the ``i``-th image, counted by the numbers in their names.
-        allow_unlabelled: whether images that the pattern does not fit are left out.
+        labels: Label file or a pattern such as ``*/labels.csv`` or ``*.json``; None with `name_pattern`.
+        image_column: Column that names the image of each row; None takes the first of `IMAGE_COLUMNS`.
+        name_pattern: Pattern of image names, such as ``x{x_mm}_f{force_N}.png``.
+        columns: Column names of a file without a header.
+        in_order: Assign row ``i`` to the ``i``-th image, ordered by the numbers in the names.
+        allow_unlabelled: Ignore images that do not match the pattern.
     """
 
     labels: Path | None
@@ -80,14 +78,12 @@ class LabelLayout:
 
 @dataclass(frozen=True, slots=True)
 class LabelledImages:
-    """Images and the labels of each, in the same order.
+    """Images and their labels, in the same order.
 
     Attributes:
-        table: a row an image, without the column of names unless it is a label of its own.
-        paths: of the images.
-        names: of the images, as the labels call them.
-        source: what the labels came from, for messages.
-        image_column: which column named the images; empty where none did.
+        names: Image names as in the labels.
+        source: Origin of the labels, for messages.
+        image_column: Column that named the images; empty for none.
     """
 
     table: pd.DataFrame
@@ -106,10 +102,6 @@ def find_labelled_images(
         folder: where the images are, themselves or in a folder ``images``.
         layout: where the labels are.
         kinds: of columns where a reader must not guess.
-
-    Raises:
-        InputError: the folder is none.
-        LabelError: labels are damaged, name an image twice, or one that is not there or outside the folder.
     """
     if not folder.is_dir():
         raise InputError(f"{folder} is not a folder of images; check the name", code="folder-missing")
@@ -311,11 +303,7 @@ def _by_names(folder: Path, pattern: str, *, allow_unlabelled: bool) -> Labelled
 
 
 def name_expression(pattern: str) -> tuple[list[str], re.Pattern[str]]:
-    """Fields of a pattern such as ``x{x_mm}_f{force_N}.png``, and an expression with a group for each.
-
-    Raises:
-        InputError: it has no field, an empty one, one twice, or two without anything between.
-    """
+    """Fields of a pattern such as ``x{x_mm}_f{force_N}.png``, and an expression with a group for each."""
     parts = _FIELD.split(pattern)
     fields, texts = parts[1::2], parts[::2]
     if not fields or len(set(fields)) < len(fields) or not all(map(str.isidentifier, fields)):

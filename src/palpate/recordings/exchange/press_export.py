@@ -53,10 +53,6 @@ def export_presses(run: Run, out: Path | None = None) -> PressFolder | None:
 
     Returns:
         The folder; None where the run has no presses on specimens.
-
-    Raises:
-        ExistsError: `out` exists.
-        RecordingError: a press has no force samples, or its frames do not follow one another.
     """
     presses = list(_presses(run))
     if not presses:
@@ -81,10 +77,7 @@ def latency_s(run: Run) -> float:
 
 
 def _folders(indenters: Iterable[str]) -> dict[str, str]:
-    """Folder of every indenter, by its words; numbered from 2 where others before it have the same name.
-
-    Plans with two stiffnesses of one name are refused now; runs of such plans may lie on disks.
-    """
+    """Folder of every indenter, by its words; numbered from 2 where others before it have the same name."""
     folders: dict[str, str] = {}
     for words in indenters:
         plain = _folder_of(words)

@@ -82,7 +82,6 @@ class PressedSpecimen:
     """A specimen and its presses.
 
     Attributes:
-        name: of its folder.
         stiffness_n_m: of the specimen alone, inf for a rigid plate; None where it is not known [N/m].
         presses: of every press its TIFF and its table, in the order of their names.
         body: its modulus and radius.
@@ -99,7 +98,6 @@ class PressFolder:
     """An experiment.
 
     Attributes:
-        path: its folder.
         specimens: in the order of `specimens.csv`, or of their names where there is none.
     """
 
@@ -108,14 +106,7 @@ class PressFolder:
 
 
 def press_folder(path: Path) -> PressFolder:
-    """Find the specimens and presses of an experiment; no frame or table of a press is opened yet.
-
-    Raises:
-        InputError: no such folder, a specimen without presses, or a press of which a file is missing or there
-            twice.
-        LabelError: `specimens.csv` cannot be read, names a specimen twice or one that has no folder, leaves
-            one out, or holds a stiffness that is none.
-    """
+    """Find the specimens and presses of an experiment; no frame or table of a press is opened yet."""
     path = Path(path)
     path = path / PRESSES if (path / PRESSES).is_dir() and (path / MANIFEST).exists() else path
     if not path.is_dir():
@@ -145,15 +136,10 @@ def trial_groups(folder: PressFolder, columns: Sequence[str]) -> pd.DataFrame:
     """Read from `trials.csv` what presses share.
 
     Args:
-        folder: as it was found.
         columns: of the table, e.g. ``session``; ``specimen`` may be one.
 
     Returns:
         A row a press, in the order of specimens and their presses, with these columns as text.
-
-    Raises:
-        LabelError: no such table or column; a press without a row, with two, or with an empty cell; or a row
-            without a press.
     """
     path = folder.path / TRIALS
     if not path.is_file():
@@ -198,13 +184,8 @@ def write_specimens(
     """Write `specimens.csv` into a folder.
 
     Args:
-        folder: which is there.
         stiffness_n_m: of every specimen, inf for a rigid plate, NaN where it is not known [N/m].
         bodies: modulus and radius of every one; None for no such columns.
-
-    Raises:
-        InputError: a name that cannot be a folder's everywhere, or a stiffness that is none.
-        ExistsError: the file is there.
     """
     for name, stiffness in stiffness_n_m.items():
         if not _PLAIN.fullmatch(name):
@@ -227,16 +208,8 @@ def write_press(folder: Path, press: str, frames: Iterable[Image], rows: pd.Data
 
     Args:
         folder: of the specimen; made where it is not there.
-        press: name of both files.
         frames: 8-bit grey or RGB, of one size.
         rows: see `press_rows`.
-
-    Returns:
-        The TIFF and the table.
-
-    Raises:
-        ExistsError: one of the files is there.
-        ImageError: no frames, or one that is no such image.
     """
     tiff = folder / f"{press}.tif"
     write_tiff(tiff, frames)

@@ -37,18 +37,8 @@ def import_press(
     """Turn one press into a run, which appears whole or not at all.
 
     Args:
-        frames: a multi-page TIFF or a video.
         run: the run to make; must not exist.
         force: the table; see `read_press_table` for it and its columns.
-        force_column, position_column, rate_hz: as there.
-        sensor: which sensor was recorded.
-        licence, origin, provenance: of the data.
-        progress: told how many frames are done of how many.
-
-    Raises:
-        ExistsError: `run` exists.
-        ImageError: the frames cannot be read, or are not all of one kind.
-        LabelError: the table cannot be read, or does not fit the frames.
     """
     refuse_existing(run)
     with open_sequence(frames) as sequence:

@@ -32,16 +32,15 @@ Samples = Float[ndarray, " s"]
 
 @dataclass(frozen=True)
 class PressTable:
-    """Press as a table, SI.
+    """Press as a table in SI units.
 
     Attributes:
-        time_s: of every sample, from the first [s].
-        force_n: positive in compression [N].
-        position_m: as the table has it; None where it has none [m].
-        area_m2: of the contact, NaN where a sample has none; None where the table has none [m^2].
-        frame_sample: of every frame, which sample it belongs to.
-        force_column, position_column, area_column: where these were read.
-        turned: the table has compression negative.
+        time_s: Time since the first sample [s].
+        force_n: Force, positive in compression [N].
+        position_m: Position; None without a column [m].
+        area_m2: Contact area, NaN for missing samples; None without a column [m^2].
+        frame_sample: Sample index of every frame.
+        turned: Whether compression is negative in the file.
     """
 
     time_s: Samples
@@ -55,17 +54,13 @@ class PressTable:
     turned: bool
 
     def earlier(self, latency_s: float) -> PressTable:
-        """The table for frames that are late: force and position of that time before, at the same samples.
+        """Return the table for frames delayed by a latency: force and position of that time before.
 
-        Between samples they go straight; before the first they rest. Frames whose moment lies beyond the last
-        sample, of a latency below 0, are left out. Areas are shifted where each sample has one, as a
-        simulator's are; those of single frames stay with their frames.
+        Values are interpolated linearly and constant before the first sample. Frames beyond the last
+        sample (negative latency) are dropped. Areas are shifted only if every sample has one.
 
         Args:
-            latency_s: by which frames show an earlier moment than that of their sample [s].
-
-        Raises:
-            RangeError: a latency that is not finite, or as long as the press.
+            latency_s: Delay of the frames after their samples [s].
         """
         if not abs(latency_s) < self.time_s[-1] - self.time_s[0]:
             raise RangeError(
@@ -100,18 +95,14 @@ def read_press_table(
     position_column: str | None = None,
     rate_hz: float | None = None,
 ) -> PressTable:
-    """Read a table and lay it beside the frames.
+    """Read the table of a press and assign its samples to frames.
 
     Args:
-        path: CSV or Parquet with a header.
-        frames: how many images there are; None for a press without a camera.
-        force_column: name with a unit of force; None for the first of `FORCES` that is there.
-        position_column: name with a unit of length; None for the first of `POSITIONS` that is there.
-        rate_hz: of the rows, where the table has no column of times.
-
-    Raises:
-        LabelError: a column is missing or of another unit, a cell is no number, times do not rise, or the
-            table does not fit the images.
+        path: CSV or Parquet file with a header.
+        frames: Number of images; None for a press without a camera.
+        force_column: Force column; None for the first of `FORCES` present.
+        position_column: Length column; None for the first of `POSITIONS` present.
+        rate_hz: Row rate of a table without a time column [Hz].
     """
     table = read_labels(path, kinds={})
     force_name = _named(table, path, force_column, FORCES, "N", "force")
@@ -144,17 +135,13 @@ def press_rows(
     frame_sample: Int[ndarray, " f"],
     true_area_m2: Samples | None = None,
 ) -> pd.DataFrame:
-    """A press as the report's rig writes it, a row a sample.
+    """Return a press as a table, one row a sample.
 
     Args:
-        time_s: of the samples [s].
-        raw_n: what the force sensor said; a trailing moving average goes beside it [N].
-        desired_m, actual_m: position asked for, and as the encoder has it [m].
-        frame_sample: of every frame, which sample it belongs to; the first one's is 0.
-        true_area_m2: of the contact, from a simulator [m^2].
-
-    Raises:
-        LabelError: a sample has no latest frame, or a frame no sample of its own.
+        raw_n: Raw force; a trailing moving average is added [N].
+        desired_m, actual_m: Requested and measured position [m].
+        frame_sample: Sample index of every frame; starts at 0.
+        true_area_m2: Contact area from a simulator [m^2].
     """
     rising = len(frame_sample) and frame_sample[0] == 0 and (np.diff(frame_sample) > 0).all()
     if not (rising and frame_sample[-1] < len(time_s)):

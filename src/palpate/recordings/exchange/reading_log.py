@@ -60,12 +60,6 @@ class ReadingLog(Closing):
     """
 
     def __init__(self, path: PathText) -> None:
-        """Begin a file.
-
-        Raises:
-            ExistsError: `path` exists.
-            StorageError: it cannot be made.
-        """
         self._path = Path(path)
         with storage_errors(self._path):
             try:
@@ -87,12 +81,7 @@ class ReadingLog(Closing):
         """Write what was read.
 
         Args:
-            source: its name; each has a channel.
-            reading: plain values.
             time_ns: when it was read, since 1970; now where left out [ns].
-
-        Raises:
-            StorageError: the disk refuses.
         """
         at_ns = time.time_ns() if time_ns is None else time_ns
         with storage_errors(self._path):

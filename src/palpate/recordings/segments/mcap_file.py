@@ -56,11 +56,7 @@ class HeldFile:
         self._holds = hasattr(os, "posix_fallocate")
 
     def hold(self, count: int) -> None:
-        """Make sure that so many bytes more can be written.
-
-        Raises:
-            OSError: the disk has not so much room; nothing was written.
-        """
+        """Make sure that so many bytes more can be written."""
         needed = self._size + count
         if not self._holds or needed <= self._held:
             return
@@ -107,7 +103,6 @@ class McapFile:
     """Writer of chunks without compression, with checksums and an index.
 
     Args:
-        file: to write into, from its beginning.
         chunk_bytes: a chunk that has grown beyond it is written.
     """
 

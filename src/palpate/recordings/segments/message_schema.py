@@ -111,11 +111,7 @@ def encode_point(position_m: Sequence[float], time_ns: int) -> bytes:
 
 
 def encode_json(fields: dict[str, Any]) -> bytes:
-    """A text message that holds JSON.
-
-    Raises:
-        InputError: something in it is not JSON, a number that is not finite included.
-    """
+    """A text message that holds JSON."""
     try:
         text = json.dumps(fields, allow_nan=False, separators=(",", ":"))
     except (TypeError, ValueError, RecursionError) as e:

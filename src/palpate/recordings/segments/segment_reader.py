@@ -94,7 +94,6 @@ class SegmentScan:
     """Scan of what a file holds.
 
     Attributes:
-        path: the file.
         chunks: its readable chunks, in order. Of a closed file they are as its index says, and their bytes
             are checked when read; of one that was never closed they have been checked.
         data_end: where the chunks end and the index begins; None in a file that was never closed.
@@ -361,8 +360,6 @@ class StoredSegment:
     """Segment as stored: what can be read of it.
 
     Attributes:
-        number: of the segment in its run.
-        frames: its frames, in order.
         signals: the file of its signals, all of whose chunks have been checked.
         abouts: what the writer noted at the beginning of each file, where that is readable.
         begin_ns: when it began [ns since 1970]; None where that is lost.

@@ -95,7 +95,6 @@ class SegmentFile:
         """Have room on the disk for a message of so many bytes, and for the file's end after it.
 
         Args:
-            message_bytes: of its data.
             last: it is one of the run's last messages, for which room was held until now.
         """
         spare = 0 if last else LAST_BYTES
@@ -154,8 +153,6 @@ class Segment:
         Where the disk refuses that, the files made here are removed again: nothing is recorded in them yet.
 
         Args:
-            run: folder.
-            number: of the segment.
             manifest: of the run; each file begins with a copy of it.
             begin_ns: its first instant [ns since 1970].
             clock_ns: what the writer's clock read then [ns]; None where that is lost.

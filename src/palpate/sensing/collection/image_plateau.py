@@ -51,7 +51,6 @@ class ImagePlateau:
             which nothing in the air lights; all of the image without [px].
 
     Attributes:
-        touched: whether something lies on it.
         still: the stretch under way; None while it moves, is untouched, or is not long enough yet.
     """
 
@@ -126,7 +125,6 @@ def contact_place(
     """Centroid of what differs from the untouched sensor within a region, column and row [px].
 
     Args:
-        image: of the contact.
         rests: images of the untouched sensor shortly before, five or more where there are.
         region: x, y, width and height [px].
 

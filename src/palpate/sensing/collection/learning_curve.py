@@ -1,12 +1,8 @@
-"""Learning curve of presses: error against how many were learnt from, and what ten more would bring.
+"""Learning curve of presses: error against the number trained on, and the effect of ten more.
 
-Models learn from some of the presses and are scored on all others, so that no press is on both sides. Errors
-of learning fall about as a power of the number learnt from, E(n) = a n^-b, and this is fitted. How far it can
-be trusted is told by two spreads, added as variances: of refits about the law, which is that of which presses
-were learnt from, and of the law as the scored presses are drawn anew. Six refits tell their spread badly, and
-so the interval is Student's. Of 300 simulated sessions of 12 to 40 presses the interval of 90 % held what ten
-more presses brought in 93 %, and in 90 to 97 % of 60 by their number and noise; by presses drawn anew alone,
-in 67 %. That errors may stop to fall is in none of it.
+Models train on some presses and are scored on all others. E(n) = a n^-b is fitted; its interval (Student's)
+adds the variances of refits about the law and of resampled presses. In 300 simulated sessions the 90 %
+interval covered the effect of ten more presses in 93 %. A floor of the error is not modeled.
 
 Reference: C. Cortes et al., Learning curves: asymptotic values and rate of convergence, NIPS 6 (1994).
 """
@@ -45,15 +41,10 @@ class LearningCurve:
     """Error against presses.
 
     Attributes:
-        presses: learnt from, ascending.
         mae: mean absolute error on presses not learnt from, in the target's unit.
-        a, b: of E(n) = a n^-b.
-        have: presses that there are.
         expected: error with all of them, and its interval of 90 %.
         with_more: the same with `more` presses more.
         ratio: of the two errors, the later over the present one, and its interval of 90 %.
-        unit: of the errors.
-        more: presses more.
     """
 
     presses: tuple[int, ...]
@@ -112,8 +103,6 @@ def curve_of(presses: np.ndarray, errors: np.ndarray, have: int, *, seed: int = 
     Args:
         presses: learnt from in each trial ``[k]``.
         errors: mean absolute error of each press in each trial, NaN where it was learnt from ``[k p]``.
-        have: presses that there are.
-        seed: of the draws.
     """
 
     def means(columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -159,10 +148,6 @@ def learning_curve(run: Run, plan: CalibrationPlan, progress: Progress = silent)
     Args:
         run: of presses, as a `PressCollector` makes it.
         plan: what is estimated and how; its first target counts.
-        progress: called with how far it is.
-
-    Raises:
-        InputError: fewer than 8 presses.
     """
     with tempfile.TemporaryDirectory() as folder:
         packed = Path(folder) / "packed"

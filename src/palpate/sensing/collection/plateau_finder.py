@@ -1,15 +1,11 @@
-"""Steady plateaus in the force of a hand's presses, found from the samples alone; or why a press has none.
+"""Steady plateaus in the force of hand presses, from the samples alone, or the reason for their absence.
 
-A hand leans on the sensor, holds still for about a second, and lets go. What counts is the longest stretch in
-which force neither moves nor swings by more than the scale's own resolution and noise, or by a small share of
-it, allow. The untouched sensor before and after gives the scale's zero, its noise and its resolution, so that
-nothing has to be tared, and a zero that wanders is seen.
+A plateau is the longest stretch in which force moves and swings within the scale's noise and resolution, or a
+small fraction of the force. No-contact samples before and after give zero, noise, and resolution.
 
-A scale that answers late has filtered what it says: its samples may be of any time within its delay. The
-plateau must outlast that, and half of the delay is cut from its ends. Where it follows slowly, as a filter of
-first order with a lag, the force is what it says plus the lag times the rate of that; a plateau is then where
-both the reading and this force stand still, and frames count from when the filter has caught up. The lag is
-stated, or told by how readings die away after presses.
+A delayed scale needs plateaus longer than its delay, half of which is cut from each end. For a first-order
+filter the force is the reading plus lag times its rate; both must be steady. The lag is given or identified
+from the decay after presses.
 """
 
 from __future__ import annotations
@@ -45,14 +41,12 @@ LAGS = 5  # presses whose lags are kept
 
 @dataclass(frozen=True, slots=True)
 class Weighing:
-    """What is known of a force sensor as the scale that labels presses.
+    """Properties of the force sensor or scale that labels presses.
 
     Attributes:
-        rate_hz: samples a second.
-        delay_s: from a change of force until it is told in full [s].
-        range_n: greatest force that it measures [N].
-        name: of it, for messages.
-        lag_s: time constant of its filter, 0 for none; None where presses shall tell it [s].
+        delay_s: Time from a force change to its full display [s].
+        range_n: Largest measurable force [N].
+        lag_s: Filter time constant, 0 for none; None to identify it from presses [s].
     """
 
     rate_hz: float
@@ -70,13 +64,13 @@ class Weighing:
 
 @dataclass(frozen=True, slots=True)
 class PlateauRule:
-    """How steady is steady.
+    """Steadiness that a plateau requires.
 
     Attributes:
-        hold_s: shortest plateau, where the scale is not slower [s].
-        moved: by how much the force may move over a plateau, over the force.
-        swing: standard deviation that it may have about a line, over the force.
-        least_n: smallest force that is a touch, where noise and resolution do not ask for more [N].
+        hold_s: Shortest plateau, unless the scale is slower [s].
+        moved: Largest force change over a plateau, relative to the force.
+        swing: Largest standard deviation about a line, relative to the force.
+        least_n: Smallest force that counts as touch [N].
     """
 
     hold_s: float = 0.4
@@ -91,15 +85,14 @@ class PlateauRule:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plateau:
-    """Stretch of a press in which it was held.
+    """Part of a press with a steady force.
 
     Attributes:
-        begins_ns, ends_ns: in which frames may be labelled, on the host's clock [ns].
-        force_n: mean over it, the zero taken off [N].
-        spread_n: standard deviation about a line [N].
-        zero_n: that was taken off [N].
-        touched_ns: when the sensor was touched first; None where that is not known [ns].
-        time_ns, samples_n: of the force in it, the zero taken off ``[n]``.
+        begins_ns, ends_ns: Labelable interval on the host clock [ns].
+        force_n: Mean force after removal of the zero [N].
+        spread_n: Standard deviation about a line [N].
+        touched_ns: First contact; None where unknown [ns].
+        time_ns, samples_n: Force samples, zero removed ``[n]``.
     """
 
     begins_ns: int
@@ -114,12 +107,10 @@ class Plateau:
 
 @dataclass(frozen=True, slots=True)
 class Refused:
-    """Press that did not count.
+    """Rejected press.
 
     Attributes:
-        kind: one of "too short", "still moving", "trembling", "late", "beyond range", "zero moved", "fault".
-        why: in words, with what to do.
-        ended_ns: when it ended [ns].
+        kind: One of "too short", "still moving", "trembling", "late", "beyond range", "zero moved", "fault".
     """
 
     kind: str
@@ -130,14 +121,10 @@ class Refused:
 class PlateauFinder:
     """Finds the plateau of each press in a stream of force samples.
 
-    Args:
-        scale: that gives them.
-        rule: how steady is steady.
-
     Attributes:
-        zero_n: the scale's reading of the untouched sensor; None before it is known [N].
-        noise_n: its standard deviation there [N].
-        step_n: its resolution [N].
+        zero_n: Reading without contact; None before it is known [N].
+        noise_n: Standard deviation without contact [N].
+        step_n: Resolution [N].
     """
 
     def __init__(self, scale: Weighing, rule: PlateauRule | None = None) -> None:

@@ -92,28 +92,17 @@ class ArrivedFrame(Protocol):
 
 
 class PressCollector:
-    """Collects presses; a subscriber of the live loop.
+    """Collects labeled presses; a subscriber of the live loop.
 
     Args:
-        run: folder to record into; one that is there goes on.
-        sensor: name of the sensor, for a new run.
-        scale: what labels presses; None for weights that are typed, see `label`.
-        asked: how many presses there shall be.
-        session: what this sitting is called; the day where left out.
-        frames_a_press: most frames that a press gives.
-        region: of the image in which contacts lie, x, y, width, height; None for all of it [px].
-        force_range_n: least and greatest force that shall be covered; None for 0 to the greatest so far [N].
-        rule: how steady is steady.
-        frame_late_s: from the end of an exposure until its frame is here [s].
-        truth: labels known beside, of a virtual sensor, at a time on the host's clock [ns].
-        truths: their names.
-        origin, provenance, licence, regions: of a new run's manifest.
-        dark_field: part of the image that nothing but stress in the skin lights; there alone it is seen
-            whether a typed weight lies still [px].
-        clock: the host's.
-
-    Raises:
-        InputError: the run is another's: of another sensor, or without the labels of presses.
+        run: Folder of the recording; an existing run is continued.
+        scale: Scale that labels presses; None for typed weights, see `label`.
+        session: Session name; today's date by default.
+        region: Image region of contacts (x, y, width, height); None for the whole image [px].
+        force_range_n: Force range to cover; None for 0 to the largest force so far [N].
+        frame_late_s: Delay from the end of an exposure to the arrival of its frame [s].
+        truth: Function of the host time [ns] that returns additional labels of a virtual sensor.
+        dark_field: Image region that only stress in the skin lights, used to check stillness [px].
     """
 
     def __init__(
@@ -181,12 +170,7 @@ class PressCollector:
                 self._judge(verdict)
 
     def label(self, force_n: float) -> None:
-        """State the weight that lies on the sensor now; the next one is stated anew [N].
-
-        Raises:
-            InputError: a scale labels presses here, or nothing lies on the sensor.
-            RangeError: it is not above 0, or not finite.
-        """
+        """State the weight that lies on the sensor now; the next one is stated anew [N]."""
         if self._finder is not None:
             raise InputError(
                 f"{self._finder.scale.name} labels presses here; to type weights, collect with scale typed"

@@ -32,7 +32,6 @@ class PressCoverage:
         edges_n: of the bins of force [N].
         counts: presses in each row and column of the image and each bin of force ``[3 3 b]``.
         unplaced_counts: presses whose contact is not seen, in each bin of force ``[b]``.
-        asked: how many presses there shall be.
     """
 
     edges_n: tuple[float, ...]
@@ -51,9 +50,7 @@ class PressCoverage:
         """Count presses.
 
         Args:
-            presses: that were labelled.
             region: of the image in which contacts lie, x, y, width, height [px].
-            asked: how many presses there shall be.
             force_range_n: least and greatest force that shall be covered; None takes 0 to the greatest so far
                 [N].
         """

@@ -14,7 +14,6 @@ class ScaleCollector(Closing):
     """Collector that asks a scale for its samples with each frame; it opens nothing, and closes both.
 
     Args:
-        collector: of the presses.
         scale: that labels them. What a force sensor beside the camera says is not heard.
     """
 
@@ -32,11 +31,7 @@ class ScaleCollector(Closing):
         return self._collector.status
 
     def on_frame(self, frame: ArrivedFrame, readings: Readings | None = None) -> None:
-        """Take in what the scale has said since, then the frame.
-
-        Raises:
-            DeviceError: the scale is gone; the loop then says why, and what was collected stays.
-        """
+        """Take in what the scale has said since, then the frame."""
         self._collector.on_force(self._scale.drain())
         self._collector.on_frame(frame, readings)
 

@@ -51,11 +51,7 @@ class Look:
 
 
 class DriftWatch:
-    """Follows the drift of one live sensor.
-
-    Args:
-        reader: of its frames.
-    """
+    """Follows the drift of one live sensor."""
 
     def __init__(self, reader: FrameReader) -> None:
         self._reader = reader

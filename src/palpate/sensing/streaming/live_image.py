@@ -22,20 +22,13 @@ BRIGHT = 251  # grey levels from which a pixel is clipped
 
 
 class ImageWatch:
-    """Subscriber that looks at the picture a few times a second; `status` says what it last saw.
+    """Subscriber that inspects the picture a few times a second.
 
-    The picture's health is told once the untouched sensor was filmed, from those frames: focus and noise are
-    of a still scene. Of later frames it is said how they differ from it.
+    Focus and noise come from the frames of the last zero; later frames are compared with them.
 
     Args:
-        loop: that it is subscribed to.
-        preset: of the sensor, where it is known: where its skin lies, its marks, its scale. Without one a
-            virtual sensor tells the same of itself, and of any other all of the frame is looked at.
-
-    Attributes:
-        preset: as above; another holds from the next zero on.
-        overlay: shapes that show what was last seen, in the frame's pixels; None before a zero.
-        looks: how often was looked.
+        preset: Preset of the sensor: its skin region, marks, and scale. By default that of a virtual sensor,
+            or the whole frame.
     """
 
     def __init__(self, loop: LiveLoop, preset: SensorPreset | None = None) -> None:

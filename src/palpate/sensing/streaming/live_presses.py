@@ -43,15 +43,13 @@ PressRead = Callable[[Sequence[Image], PressTable, str], Sequence[Reading]]
 
 @dataclass(frozen=True, slots=True)
 class LivePress:
-    """One press that is over.
+    """Completed press.
 
     Attributes:
-        number: of the press, from 1.
-        readings: stiffness first; none where it could not be read.
-        why, code: why not, in words and for programs; empty where it could.
-        frames: that it was read from.
-        force_n: greatest force [N].
-        took_s: from its end to its readings [s].
+        number: Number of the press, from 1.
+        readings: Stiffness first; empty where it could not be read.
+        why, code: Reason and code of a press without readings; empty otherwise.
+        took_s: Time from its end to its readings [s].
     """
 
     number: int
@@ -98,12 +96,12 @@ class PressReader(Closing):
         *,
         threshold_n: float = THRESHOLD_N,
     ) -> None:
-        """Begin to wait for presses.
+        """Wait for presses.
 
         Args:
-            read: reads one; see `compliance_of`.
-            told: is told of each press, in this subscriber's own thread.
-            threshold_n: force from which something touches [N].
+            read: Reader of one press; see `compliance_of`.
+            told: Callback for each press, in this subscriber's thread.
+            threshold_n: Force above which there is contact [N].
         """
         self.presses = SharedHistory[LivePress](100)
         self._read, self._told, self._threshold_n = read, told, threshold_n
@@ -228,11 +226,11 @@ class PressReader(Closing):
 
 
 def press_table(frames: Iterable[tuple[int, Image]], samples: Sequence[tuple[int, float]]) -> PressTable:
-    """The table of one press: each frame belongs to the sample nearest to it in time.
+    """Return the table of one press; each frame belongs to the sample nearest in time.
 
     Args:
-        frames: when each was taken [ns], and its image.
-        samples: when each was measured [ns], and its force [N]; of one time, the first.
+        frames: Capture times [ns] and images.
+        samples: Times [ns] and forces [N]; the first of equal times counts.
     """
     apart = [samples[0], *(b for a, b in pairwise(samples) if b[0] > a[0])]
     at_ns = np.array([at for at, _ in apart], np.int64)

@@ -38,11 +38,7 @@ class FrameReader(Protocol):
         """Readings of a frame; not valid, with the reason, where it cannot be read."""
 
     def zero(self, untouched: Image) -> Drift | None:
-        """Take an image as that of the untouched sensor; its drift since calibration where that is known.
-
-        Raises:
-            ImageError: it is of another size than the calibration's.
-        """
+        """Take an image as that of the untouched sensor; its drift since calibration where that is known."""
 
     def drift_of(self, image: Image) -> Drift | None:
         """Distance of an image from the calibration's untouched sensor; None where that is not known."""
@@ -52,14 +48,10 @@ class FrameReader(Protocol):
 
 
 class CalibrationReader:
-    """Reads frames by a calibration folder, as `palpate read` does.
-
-    Args:
-        estimator: the calibration.
-        zero: of the untouched sensor; None where it is taken later, or not needed.
+    """Reads frames with a calibration folder, as `palpate read` does.
 
     Attributes:
-        doubt: whether the source may be of another sensor than the calibration, in words; "" else.
+        doubt: Reason why the source may be another sensor than the calibration's; "" for none.
     """
 
     def __init__(self, estimator: Estimator, zero: Zero | None = None) -> None:
@@ -68,11 +60,7 @@ class CalibrationReader:
         self._zero, self._zeros = zero, Zeros()
 
     def attach(self, source: LiveSource) -> None:
-        """Take the untouched images that a source has within, as a run does, unless one was given.
-
-        Raises:
-            InputError: the source is of another kind of sensor than the calibration.
-        """
+        """Take the untouched images that a source has within, as a run does, unless one was given."""
         former = self.estimator.card.copy_of
         of_copy = former is not None and former.name == stated_sensor(source)
         self.doubt = "" if of_copy else refuse_other_sensor(self.estimator.card.sensor, source)
@@ -139,15 +127,8 @@ def open_reader(
     """Open a calibration for live frames.
 
     Args:
-        calibration: the folder.
         source: of the frames; a run has the untouched sensor's images within.
-        reference: image of the untouched sensor.
         threads: of the inference engine; 0 lets it choose.
-
-    Raises:
-        CertificateError: no calibration, or a damaged one.
-        InputError: the source is of another kind of sensor.
-        ImageError: the reference is of another size than the calibration's.
     """
     folder = Path(calibration)
     estimator = Estimator.open(folder, threads=threads)
@@ -158,11 +139,7 @@ def open_reader(
 
 
 def mean_image(images: list[Image]) -> Image:
-    """Mean of several images in whole grey levels, as a run's untouched frames are averaged.
-
-    Raises:
-        ImageError: there is none, or they are of different sizes.
-    """
+    """Mean of several images in whole grey levels, as a run's untouched frames are averaged."""
     if len({image.shape for image in images}) != 1:
         raise ImageError("no images, or of different sizes; the untouched sensor is filmed as it is used")
     return np.asarray(np.mean(images, axis=0).round(), np.uint8)

@@ -17,19 +17,14 @@ NAME = "image_file"  # the label that names a frame
 
 
 class LiveRecorder(Closing):
-    """Recorder of one source. Its times are the source's own, counted from the first frame.
+    """Recorder of one source; its times count from the first frame, by the source's clock.
 
-    Frames that could not be read as images are left out; an event says which. Force is recorded as the sensor
-    said it, raw, on the camera's clock where both are the host's.
+    Undecodable frames are left out and named by an event. Force is recorded raw.
 
     Args:
-        path: of the run, which must not exist.
-        source: that is recorded.
-        sensor: what the manifest says of it; the source's name where left out.
-        only_px: height and width of the frames that are kept [px]; None keeps those of any size.
-
-    Raises:
-        ExistsError: the path exists.
+        path: New folder.
+        sensor: Sensor name for the manifest; the source's name by default.
+        only_px: Height and width of the recorded frames; None for any [px].
     """
 
     def __init__(
@@ -101,9 +96,6 @@ class LiveRecorder(Closing):
         """Write what waits, and close the run; one that holds no frame is removed. Again does nothing.
 
         A run to which anything was added stays.
-
-        Raises:
-            StorageError: something could not be written; then nothing is removed.
         """
         if self._closed:
             return

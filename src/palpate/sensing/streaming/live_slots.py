@@ -26,7 +26,6 @@ class NewestSlot(Generic[Item]):
         """Lay an item down; True where one was replaced, which is lost.
 
         Args:
-            item: the newer one.
             wait: until the place is free, or nobody takes anything any more.
         """
         with self._changed:
@@ -79,11 +78,10 @@ BLOCKED_S = 3.0  # in one call, after which a subscriber is dropped
 
 
 class SubscriberLine:
-    """Line to one subscriber, who is called from a thread of its own and so holds nobody up.
+    """Queue to one subscriber, called from its own thread.
 
-    What finds the line full waits where nothing may be lost, and is passed over and counted where it may. A
-    subscriber that raises, or that has not come back from a call for three seconds while its line is full, is
-    dropped; `why` then names it and says why.
+    A full queue makes a file wait and drops (and counts) frames of a camera. A subscriber that raises, or
+    does not return for three seconds while its queue is full, is removed; `why` names it.
     """
 
     def __init__(
@@ -92,9 +90,7 @@ class SubscriberLine:
         """Begin to call a subscriber.
 
         Args:
-            subscriber: who is called.
             waits: whether whoever brings something waits where the line is full.
-            fault: told why the subscriber was dropped.
         """
         self.subscriber = subscriber
         self.name = type(subscriber).__name__

@@ -25,12 +25,10 @@ class LiveStatistics:
     """Counts and times of a live loop so far.
 
     Attributes:
-        rate_hz: frames a second that came, over the last five seconds; None where fewer than two did.
-        p50_ms, p95_ms, p99_ms: from a frame's arrival to its reading, of the last thousand; None without any.
-        frames: that were read.
-        dropped: that came, and were replaced by a newer one before they could be read.
-        lost: that the source itself lost before they came.
-        broken: that could not be read as images.
+        rate_hz: Frames a second over the last five seconds; None below two frames.
+        p50_ms, p95_ms, p99_ms: Time from arrival to reading of the last thousand frames; None without any.
+        dropped: Frames replaced by a newer one before they were read.
+        lost: Frames lost by the source.
     """
 
     rate_hz: float | None

@@ -36,15 +36,11 @@ CHUNK = 1 << 16
 
 
 class FileFrames(Closing):
-    """Frames of a source that is whole: an image, a video, a folder, a run.
+    """Frames of a complete source: image, video, folder, or run.
 
     Attributes:
-        name: its path.
-        waits: True.
-        force: None.
-        run: the run, where it is one.
-        unfinished: why a run is not whole, in words; empty where it is.
-        may_change: whether its frames may be of several sizes, as those of a folder.
+        unfinished: Reason why a run is incomplete; empty otherwise.
+        may_change: Whether frame sizes may differ, as in a folder.
     """
 
     waits = True
@@ -76,14 +72,7 @@ class FileFrames(Closing):
 
 
 class GrowingFrames(Closing):
-    """Frames of a folder or run that is being written; it has ended once nothing came for a while.
-
-    Attributes:
-        name: its path.
-        waits: True.
-        force: None.
-        unfinished: why it is not whole though it has ended, in words; empty where it is.
-    """
+    """Frames of a folder or run that is still being written, until nothing arrives for `idle_s`."""
 
     unfinished = ""
 
@@ -94,7 +83,6 @@ class GrowingFrames(Closing):
         """Follow it.
 
         Args:
-            path: of the folder or run.
             idle_s: after which it has ended where nothing more came [s].
         """
         self.name = str(path)
@@ -104,12 +92,7 @@ class GrowingFrames(Closing):
         self._news_s: float | None = None
 
     def grab(self, timeout_s: float) -> LiveFrame | None:
-        """The next frame; None once nothing came for `idle_s` since the first call, or its writer closed it.
-
-        Raises:
-            NoFrameYetError: none came in time.
-            StorageError: the folder is gone, or cannot be read any more.
-        """
+        """Return the next frame; None after `idle_s` without one, or once its writer closed the run."""
         end_s = time.monotonic() + timeout_s
         if self._news_s is None:  # however long it takes to be looked at after it was opened
             self._news_s = time.monotonic()
@@ -186,13 +169,9 @@ class FillingFolder(GrowingFrames):
 
 
 class GrowingRun(GrowingFrames):
-    """Frames of a run as its writer puts them on disk, at most about a second later.
+    """Frames of a run as its writer stores them, at most about a second later.
 
-    Each file is read on from where it was left, so that a long run costs no more than a short one. Frames are
-    named by their index.
-
-    Attributes:
-        manifest: of the run.
+    Each file is read from where it was left, so the cost does not grow with the length.
     """
 
     def __init__(self, path: Path, idle_s: float) -> None:
@@ -243,11 +222,7 @@ def open_file_frames(path: Path, idle_s: float) -> LiveSource:
     """Open an image, a folder, a run or a video, whole or still being written.
 
     Args:
-        path: of it.
         idle_s: after which a folder or run has ended where nothing more came [s]; 0 takes what is there.
-
-    Raises:
-        InputError, ImageError, RecordingError: there is nothing to read there.
     """
     if (path / MANIFEST).is_file():
         if idle_s > 0 and _being_written(path):
@@ -285,15 +260,9 @@ def unfinished(run: Path) -> str:
 
 
 class PipedFrames(Closing):
-    """Images that come on standard input: JPEG or PNG files one after the other, or MJPEG.
+    """Images on standard input: concatenated JPEG or PNG files, or MJPEG.
 
-    The pipe makes its writer wait, so nothing is lost here; a frame's time is that of its arrival, from the
-    first one on.
-
-    Attributes:
-        name: of the pipe.
-        waits: True.
-        force: None.
+    The pipe blocks its writer, so no frame is lost; times count from the first arrival.
     """
 
     waits = True
@@ -301,7 +270,6 @@ class PipedFrames(Closing):
     force: ForceSensor | None = None
 
     def __init__(self, stream: BinaryIO | None = None, name: str = "standard input") -> None:
-        """Read a stream; standard input where none is given."""
         self.name = name
         self._stream = stream or sys.stdin.buffer
         self._cutter = ImageCutter()
@@ -309,11 +277,7 @@ class PipedFrames(Closing):
         self._number, self._first_ns, self._over = 0, 0, False
 
     def grab(self, timeout_s: float) -> LiveFrame | None:
-        """The next image; None at the end of the stream.
-
-        Raises:
-            NoFrameYetError: none came in time.
-        """
+        """The next image; None at the end of the stream."""
         end_s = time.monotonic() + timeout_s
         why = ""
         while not self._images and not self._over and not why:

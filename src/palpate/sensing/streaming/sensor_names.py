@@ -46,13 +46,9 @@ def refuse_other_sensor(calibrated: str, source: LiveSource) -> str:
 
     Args:
         calibrated: name of the calibration's sensor; "" where it has none.
-        source: of the frames.
 
     Returns:
         What is to be minded where the names differ, but may mean one sensor; "" where there is nothing.
-
-    Raises:
-        InputError: it is of another kind, with both names and what to do.
     """
     stated = stated_sensor(source)
     if not stated or not calibrated or stated == calibrated:

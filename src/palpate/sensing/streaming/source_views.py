@@ -33,12 +33,7 @@ def view_of_source(
     """View of the untouched sensor, with what is known of it.
 
     Args:
-        frames: of it, untouched.
-        preset: of a sensor that people own.
         design: of a virtual sensor, where no preset is known; without both, all of the frame is looked at.
-
-    Raises:
-        InputError, ImageError, RangeError: see `UntouchedView`.
     """
     if preset is not None:
         return UntouchedView.of_preset(preset, frames)

@@ -15,15 +15,12 @@ ARROWS_MM = 0.05  # shift of a contact that is drawn an arrow for; the readings 
 
 
 def strain_view(reader: ShearReader, touch: ShearTouch) -> dict[str, Any]:
-    """A frame's strain as plain values for a page, in the frame's pixels, x along columns and y along rows.
+    """Return the strain of a frame as plain values for a page, in pixels of the frame.
 
     Returns:
-        "box": x, y, width and height of the skin; "dots": x, y and the greatest engineering shear there, for
-        places where it is above `MIN_TOLD`;
-        "greatest": of the whole skin; "spacing_px": between dots; "contacts": x and y of each [px];
-        "shift": "start" and "end" of an arrow [px] along the shift of the only contact, "times" by which it
-        is drawn longer, and its length "mm"; None where there is none. No dots where the frame could not be
-        read.
+        "box" of the skin (x, y, width, height); "dots" (x, y, greatest engineering shear above `MIN_TOLD`);
+        "greatest" of the skin; "spacing_px"; "contacts" (x, y); "shift" of a single contact ("start", "end",
+        its magnification "times", and "mm"), else None. No dots for an undecodable frame.
     """
     fields = touch.fields
     box = _box(reader)

@@ -16,19 +16,13 @@ from palpate.sensing.streaming.live_readers import NO_ZERO
 
 
 class ShearFrameReader:
-    """Reads touch on a patterned skin, frame by frame, from the untouched image that it was zeroed with.
+    """Reads touch on a patterned skin frame by frame, after a zero.
 
-    Before that it gives no readings, and `needs` says so. Frames that are dropped on the way cost nothing:
-    marks are followed from the last frame that was read, and memory fades by the frames' own times.
-
-    Args:
-        skin: tiled or dotted.
-        calibration: adds newtons; None for touch alone.
-        name: of the skin, where there is no calibration.
+    Dropped frames do no harm: marks are followed from the last frame read; memory fades by frame times.
 
     Attributes:
-        needs: what it waits for, or why the last frame could not be read; empty where it reads.
-        seen: reader and touch of the last frame that was read; None before one.
+        needs: Missing zero or the reason why the last frame could not be read; empty otherwise.
+        seen: Reader and touch of the last frame; None before one.
     """
 
     differential = True
@@ -49,11 +43,7 @@ class ShearFrameReader:
         return f"shear of {self._name}" if self._calibration is None else self._calibration.id
 
     def zero(self, untouched: Image) -> Drift | None:
-        """Take an image as that of the untouched skin; drift is of a calibrated pad's marks.
-
-        Raises:
-            InputError: its marks cannot be found, or the calibration is of another skin.
-        """
+        """Take an image as that of the untouched skin; drift is of a calibrated pad's marks."""
         reader = ShearReader(self._skin, Frame(untouched))
         self._force = None if self._calibration is None else ForceInTouch(self._calibration, reader)
         self._reader, self.needs, self.seen = reader, "", None
@@ -85,14 +75,9 @@ def open_shear_reader(
     """Open a reader of shear.
 
     Args:
-        skin: a sensor whose patterned skin it is, such as "nusense:7", or a TOML or JSON file of a dotted
-            skin.
-        calibration: file of `palpate calibrate --method shear-force`; None for touch without newtons.
-        reference: image of the untouched skin; without one it is zeroed later.
-
-    Raises:
-        InputError: no such sensor or skin, or one without a pattern.
-        CertificateError: no calibration of force, or a damaged one.
+        skin: Sensor with a patterned skin, such as "nusense:7", or a TOML or JSON file of a dotted skin.
+        calibration: File of `palpate calibrate --method shear-force`; None for touch without newtons.
+        reference: No-contact image; None to zero later.
     """
     force = None if calibration is None else _force_by_marks(Path(calibration))
     reader = ShearFrameReader(_skin(skin), force, skin)

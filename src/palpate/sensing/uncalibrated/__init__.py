@@ -12,10 +12,10 @@ from palpate.sensing.uncalibrated.mark_motion import (
     DotFollower,
     MarkKind,
     MarkMotion,
+    MarksApart,
     PinFollower,
     follow_marks,
 )
-from palpate.sensing.uncalibrated.marks_apart import MarksApart
 from palpate.sensing.uncalibrated.noise_tail import edge_share, tail_weights, upper_quantile
 from palpate.sensing.uncalibrated.still_surround import StillSurround
 

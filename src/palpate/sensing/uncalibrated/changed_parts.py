@@ -21,9 +21,7 @@ def strongest_part(
     """Connected part in which the most is strong; the largest where nothing is; None where all are specks.
 
     Args:
-        over: what differs beyond noise.
         strong: what of it differs as a touch does; fewer than twelve pixels count for none.
-        energy: by which strong pixels are weighed.
     """
     # The algorithm is named, since the usual one takes longer.
     count, label, boxes, _ = cv2.connectedComponentsWithStatsWithAlgorithm(

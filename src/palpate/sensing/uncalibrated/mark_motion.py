@@ -8,6 +8,7 @@ frame is searched whole and marks are named by their cell of the lattice.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
@@ -70,9 +71,6 @@ class PinFollower:
     Args:
         untouched: 8-bit grey or RGB frame.
         kind: whether marks are brighter or darker than what is around.
-
-    Raises:
-        ImageError: fewer than nine marks on a lattice.
     """
 
     def __init__(self, untouched: Shaped[ndarray, ...], kind: MarkKind = "bright") -> None:
@@ -89,10 +87,10 @@ class PinFollower:
         return float(np.median(far.min(axis=1)))
 
     def moved(self, frame: Shaped[ndarray, ...]) -> MarkMotion:
-        """Motion of the marks in the next frame.
+        """Return the motion of the marks in the next frame.
 
-        Between two frames a mark may have moved too far to be followed, and is then taken for its neighbour.
-        Where all lie as they lay untouched, but for a common motion, each is where it was looked for first.
+        After too large a step a mark may be mistaken for its neighbor; marks that all lie at their no-contact
+        positions, up to a common motion, are matched there first.
         """
         grey = self._bright(frame)
         self._now = next(iter(follow([grey], self._from_here())))
@@ -154,10 +152,6 @@ class DotFollower:
 
     Args:
         untouched: 8-bit grey or RGB frame.
-        skin: its description.
-
-    Raises:
-        ImageError: too few dots on a lattice.
     """
 
     def __init__(self, untouched: Shaped[ndarray, ...], skin: DottedSkin) -> None:
@@ -182,14 +176,10 @@ class DotFollower:
 def follow_marks(
     untouched: Shaped[ndarray, ...], marks: MarkKind | DottedSkin | Literal["any"]
 ) -> PinFollower | DotFollower | None:
-    """What follows the marks of a skin; None where any are looked for, and none stand on a lattice.
+    """Return a follower of the marks; None where `marks` is "any" and no lattice is found.
 
     Args:
-        untouched: 8-bit grey or RGB frame of the untouched skin.
-        marks: how they look on their ground; a description of dots; or "any": bright ones, else dark ones.
-
-    Raises:
-        ImageError: marks of a stated kind that are not found.
+        marks: Contrast of the marks, a description of dots, or "any": bright ones, else dark ones.
     """
     if isinstance(marks, DottedSkin):
         return DotFollower(untouched, marks)
@@ -211,3 +201,36 @@ def _skewness(frame: Shaped[ndarray, ...]) -> float:
         return 0.0
     around = cv2.GaussianBlur(grey, (0, 0), max(grey.shape) / AROUND)
     return float(np.mean((grey.astype(np.float64) - around) ** 3))
+
+
+MIN_TOLD_MARKS = 0.6  # fraction of the marks below which no motion is reported
+MIN_NOISE_PX = 0.03  # noise along each axis from another position on the pixel grid [px]
+
+
+class MarksApart:
+    """Detects relative motion of marks beyond the noise of their positions.
+
+    A touch moves marks apart; a camera or mount that moved shifts and turns all alike.
+
+    Args:
+        untouched: Motion of the marks in two or more no-contact frames.
+        rate: False alarm rate.
+
+    Attributes:
+        limit_px: Largest relative motion that noise explains [px].
+    """
+
+    def __init__(self, untouched: Sequence[MarkMotion], rate: float) -> None:
+        apart = [one.apart()[1] for one in untouched if len(one.at_px)]
+        count = max((len(one) for one in apart), default=1)
+        square = float(np.mean(np.concatenate(apart) ** 2)) if apart else 0.0
+        # Each of `count` motions is a Rayleigh variable, whose tail is exp(-r^2 / 2 sigma^2).
+        self.limit_px = max(math.sqrt(square), MIN_NOISE_PX) * math.sqrt(2 * math.log(count / rate))
+
+    def told(self, marks: MarkMotion) -> tuple[Float[ndarray, 2], float] | None:
+        """Common shift, and the largest motion apart over its limit; None where too few marks are found."""
+        found = len(marks.at_px)
+        if found < MIN_TOLD_MARKS * (found + marks.lost):
+            return None
+        shift, apart = marks.apart()
+        return shift, float(np.hypot(*apart.T).max()) / self.limit_px

@@ -61,10 +61,6 @@ class StillSurround:
     def shift(self, image: Shaped[ndarray, ...], gain: float) -> tuple[float, float] | None:
         """Shift of what lies still; None where there is none, or none can be told.
 
-        Args:
-            image: of the kind of the reference's frames.
-            gain: its brightness over theirs.
-
         Returns:
             To the right and downwards [px].
         """

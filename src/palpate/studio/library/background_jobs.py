@@ -24,17 +24,7 @@ ENDS_S = 3.0
 
 @dataclass
 class BackgroundJob:
-    """Job in a process of its own.
-
-    Attributes:
-        number: by which pages ask for it.
-        title: what it does, in words.
-        out: the file that it makes.
-        state: "running", "done", "failed" or "cancelled".
-        step, done, total: how far it is.
-        found: what it says at its end.
-        why: of a failure.
-    """
+    """Job in a process of its own."""
 
     number: int
     title: str
@@ -73,11 +63,7 @@ class BackgroundJob:
 
 
 class BackgroundJobs(Closing):
-    """Jobs of one server.
-
-    Args:
-        command: that runs one; another in tests.
-    """
+    """Jobs of one server."""
 
     def __init__(self, command: tuple[str, ...] = (sys.executable, "-m", MODULE)) -> None:
         self._command, self._turn = command, threading.Lock()
@@ -89,17 +75,12 @@ class BackgroundJobs(Closing):
     def begin(
         self, title: str, do: str, *what: str | Path, suffix: str = "", out: Path | None = None
     ) -> BackgroundJob:
-        """Begin a job.
+        """Start a job.
 
         Args:
-            title: in words.
-            do: what, by its name in `job_process`.
-            what: the folders that it works on, and what else it is told.
-            suffix: of the file that it makes, kept for as long as the server runs.
-            out: what it makes instead, and leaves behind.
-
-        Raises:
-            InputError: as many as are allowed are running.
+            do: Name of the job in `job_process`.
+            what: Folders and options of the job.
+            suffix: Suffix of its result file, kept while the server runs.
         """
         with self._turn:
             if sum(job.state == "running" for job in self._jobs.values()) >= MAX_RUNNING:

@@ -43,9 +43,7 @@ class CalibrationsPage:
     """Page of calibrations in one tab.
 
     Args:
-        workspace: whose calibrations are shown.
-        jobs: of the server.
-        chosen: calibration, another one, run, as they stand in the address; "" for none.
+        chosen: Calibration, second calibration, and run in the address; "" for none.
     """
 
     def __init__(self, workspace: Workspace, jobs: BackgroundJobs, chosen: tuple[str, str, str]) -> None:

@@ -55,12 +55,9 @@ class RecordingsPage:
     """Page of recordings in one tab.
 
     Args:
-        workspace: whose runs are shown.
-        jobs: of the server.
-        name: of the run that is shown; "" for the list.
-        beside: of another one.
-        frames: numbers of the frames of both that are shown first.
-        spec: how the frames are split; "" for not.
+        name: Selected run; "" for the list.
+        frames: Initial frame numbers of both runs.
+        spec: Split of the frames; "" for none.
     """
 
     def __init__(

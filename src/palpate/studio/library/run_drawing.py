@@ -30,7 +30,6 @@ class RecordedCurve:
     """Quantity over a run's length.
 
     Attributes:
-        name, unit: of the quantity.
         times_s: of its samples, from the run's first instant [s].
         values: in `unit`.
         whole_s: the run's length [s].

@@ -36,10 +36,7 @@ class ParticipantProgress:
     """Progress of one participant.
 
     Attributes:
-        code, group: of the participant.
         kept, most: judgements that are kept, and the most that the schedule may ask for.
-        state: in a word.
-        simulated: whether it is a rehearsal.
     """
 
     code: str
@@ -56,10 +53,7 @@ class ExperimentSummary:
 
     Attributes:
         name: of the folder, from the workspace.
-        title: as the design says.
-        wanted: participants that it plans.
         participants: those who have begun, or did not consent.
-        commands: that go on with it.
         why: what is wrong with it; "" for a sound one.
     """
 
@@ -119,12 +113,7 @@ def _progress(design: ExperimentDesign, one: ParticipantRecord) -> ParticipantPr
 
 
 class TrialsPage:
-    """Page of experiments in one tab.
-
-    Args:
-        workspace: whose experiments are shown.
-        jobs: of the server.
-    """
+    """Page of experiments in one tab."""
 
     def __init__(self, workspace: Workspace, jobs: BackgroundJobs) -> None:
         self._workspace, self._jobs = workspace, jobs

@@ -57,18 +57,11 @@ class SourceTreeError(InputError):
 
 @dataclass(frozen=True, slots=True)
 class RunSummary:
-    """Summary of a run, for a list.
+    """List entry of a run.
 
     Attributes:
-        name: of its folder, from the workspace.
-        frames: how many can be read.
-        length_s: from its first frame to its last [s]; None where its times are only an order.
-        labels, targets: the columns that it has, and those that are to be learnt.
-        sensor, begun: as its manifest says.
-        size_bytes: of its files.
+        length_s: Time from the first to the last frame; None for ordinal times [s].
         state: "whole", "empty", "being written", "not closed" or "damaged".
-        why: what is wrong, in words; "" otherwise.
-        simulated: whether its manifest says that it was not measured.
     """
 
     name: str
@@ -89,10 +82,6 @@ class Workspace:
 
     Args:
         folder: that is shown; it need not be there yet.
-
-    Raises:
-        InputError: it is a file.
-        SourceTreeError: it lies in the source tree of this package.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -113,11 +102,7 @@ class Workspace:
         self._useless: dict[str, bool] = {}
 
     def resolve(self, name: str) -> Path:
-        """The path of something in the workspace, by its name from there.
-
-        Raises:
-            OutsideError: it leads out of the workspace, also by a link in it; or it is no name of a file.
-        """
+        """The path of something in the workspace, by its name from there."""
         bad = not name or len(name) > MAX_NAME or not name.isprintable() or "\\" in name
         if not bad and not Path(name).is_absolute():
             path = (self.folder / name).resolve()
@@ -146,21 +131,17 @@ class Workspace:
         return path.resolve().relative_to(self.folder).as_posix()
 
     def found(self, kind: str) -> list[str]:
-        """Names of what is there of a kind, the newest first.
+        """Return the names of what exists of a kind, newest first.
 
         Args:
-            kind: "run", "calibration", "experiment", or "tip" for a file with a calibration of softness.
+            kind: "run", "calibration", "experiment", or "tip" (file of a softness calibration).
         """
         paths = [path for path, what in self._walk() if what == kind]
         paths.sort(key=lambda path: path.stat().st_mtime_ns if path.exists() else 0, reverse=True)
         return [self.name_of(path) for path in paths[:MAX_LISTED]]
 
     def run(self, name: str) -> Run:
-        """A run, opened anew where its files have changed since.
-
-        Raises:
-            PalpateError: it is not in the workspace, or no run.
-        """
+        """A run, opened anew where its files have changed since."""
         path = self.resolve(name)
         stamp = _stamp(path)
         with self._turn:
@@ -189,18 +170,13 @@ class Workspace:
         return found
 
     def card(self, name: str) -> Card:
-        """Card of a calibration.
-
-        Raises:
-            PalpateError: it is not in the workspace, or no calibration, or damaged.
-        """
+        """Card of a calibration."""
         return read_card(self.resolve(name))
 
     def is_useless(self, name: str, card: Card) -> bool:
-        """Whether a calibration of force by hand presses is not surely better than always saying the mean.
+        """Return whether a force calibration from hand presses is not certainly better than the mean.
 
-        As its session says, by its predictions. Of any other calibration this is not said, nor of one whose
-        predictions cannot be read: False.
+        False for other calibrations and for unreadable predictions.
         """
         from palpate.calibration.certificate import read_predictions
         from palpate.workflows.certificate_sentence import TARGET, is_useless

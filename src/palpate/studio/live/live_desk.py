@@ -59,13 +59,13 @@ class NoConnection:
 
 @dataclass(frozen=True, slots=True)
 class LiveSample:
-    """Sample of what a sensor told.
+    """Sample of a sensor's status.
 
     Attributes:
-        at_s: when it was heard [s, monotonic time].
-        frame_s: the source's own time of the frame [s].
-        readings: of the frame, as plain values, by column; empty where it is no other than the last.
-        force_n: of a force sensor beside it; None without one [N].
+        at_s: Arrival, monotonic [s].
+        frame_s: Frame time by the source's clock [s].
+        readings: Plain values by column; empty for a frame that was sampled before.
+        force_n: Force of a force sensor next to the camera; None without one [N].
     """
 
     at_s: float
@@ -99,12 +99,7 @@ def _times(value: float | None, times: float) -> float | None:
 
 
 class LiveSensor:
-    """A sensor that is listened to.
-
-    Attributes:
-        name: of its process.
-        connection: to it.
-    """
+    """A sensor that is listened to."""
 
     def __init__(self, name: str, connection: LiveConnection) -> None:
         self.name, self.connection = name, connection
@@ -138,11 +133,7 @@ class LiveSensor:
 
 
 def check_name(name: str) -> None:
-    """Refuse what is no name of a live sensor's process: pages address no other process.
-
-    Raises:
-        InputError: it does not begin as such names do, or is too long.
-    """
+    """Refuse what is no name of a live sensor's process: pages address no other process."""
     if not (name.startswith(PREFIX) and len(name) <= MAX_NAME and name.isprintable()):
         raise InputError(f"{name[:60]!r} is no live sensor. Begin one on the page Live.", code="unknown-name")
 
@@ -177,11 +168,7 @@ class LiveProcesses:
 
 
 class LiveDesk(Closing):
-    """Live sensors of one server, shared by all tabs.
-
-    Args:
-        processes: of the workspace's live sensors.
-    """
+    """Live sensors of one server, shared by all tabs."""
 
     def __init__(self, processes: LiveProcesses | None = None) -> None:
         self._processes = processes or LiveProcesses()
@@ -202,11 +189,7 @@ class LiveDesk(Closing):
             return self._sensors.get(name)
 
     def sensor(self, name: str) -> LiveSensor | None:
-        """The sensor of a process that runs, listened to from now on; None if no such process runs.
-
-        Raises:
-            InputError: it is no name of a live sensor, or as many as are shown run already.
-        """
+        """The sensor of a process that runs, listened to from now on; None if no such process runs."""
         check_name(name)
         if (known := self.listened(name)) is not None:
             return known
@@ -224,11 +207,7 @@ class LiveDesk(Closing):
             return self._sensors[name]
 
     def _forget_ended(self) -> None:
-        """Make room: a sensor whose process has ended takes no place.
-
-        Raises:
-            InputError: all of them run.
-        """
+        """Make room: a sensor whose process has ended takes no place."""
         running = self._processes.running()
         for name in [one for one in self._sensors if one not in running and one not in self._begins]:
             self._sensors.pop(name).connection.close()
@@ -242,11 +221,7 @@ class LiveDesk(Closing):
             return list(self._sensors)
 
     def begin(self, name: str, options: Mapping[str, Any]) -> LiveSensor:
-        """Launch a sensor's process, unless it runs, and listen to it.
-
-        Raises:
-            PalpateError: the process did not begin; it says why.
-        """
+        """Launch a sensor's process, unless it runs, and listen to it."""
         check_name(name)
         with self._turn:
             self._begins[name] += 1

@@ -26,11 +26,9 @@ Point = tuple[float, float]
 
 
 def reading_svg(samples: Sequence[LiveSample], column: str, unit: str, now_s: float, name: str = "") -> str:
-    """A reading over the last `SPAN_S` with its interval; the force sensor's beside it where both are in N.
+    """Draw a reading and its interval over the last `SPAN_S`, with the force sensor if both are in N.
 
-    Its name is the column's, unless another is given.
-
-    What is not valid is drawn as crosses without an interval, so that it is seen without colour.
+    Invalid readings are crosses without an interval, so they are distinguishable without color.
     """
     told = [(one.at_s, one.readings[column]) for one in samples if column in one.readings]
     told = [(at, one) for at, one in told if one.get("value") is not None]
@@ -128,10 +126,9 @@ def _stretches(points: Sequence[tuple[float, Any]]) -> list[list[tuple[float, An
 
 
 def place_svg(readings: Mapping[str, Mapping[str, Any]]) -> str:
-    """Where on the skin it is touched, with both intervals, and the shear's arrow; "" without such readings.
+    """Draw the contact location with both intervals and the shear arrow; "" without such readings.
 
-    x points right and y down, as in the image; the frame is the calibrated range, and bare where no place is
-    read.
+    x points right and y down, as in the image; the frame is the calibrated range.
     """
     x, y = readings.get("x_mm"), readings.get("y_mm")
     if not x or not y:
@@ -196,10 +193,9 @@ def _head(start: Point, end: Point, size: float, colour: str) -> str:
 
 
 def lateral_motion(overlay: Mapping[str, Any] | None) -> tuple[Point, Point] | None:
-    """Mean of the arrows of a skin's marks: from where, and how far to the right and down [px].
+    """Return start and mean vector of the arrows of a skin's marks [px]; None below four arrows.
 
-    What is pressed straight down moves marks apart to all sides, which cancels; a push along the skin does
-    not. None with fewer than four arrows.
+    A normal press moves marks apart in all directions, which cancels; a lateral push does not.
     """
     arrows = (overlay or {}).get("arrows") or ()
     if len(arrows) < MIN_ARROWS:
@@ -304,14 +300,10 @@ def shows_marks(overlay: Mapping[str, Any]) -> bool:
 
 
 def overlay_legend(overlay: Mapping[str, Any], *, marked: bool) -> str:
-    """What the shapes over a live picture mean: each sign, drawn as it is there, beside its words.
-
-    The signs differ by their shapes, not by colour. They stand there before the first is drawn, so that
-    nothing moves as shapes come and go.
+    """Explain the shapes over a live picture, which differ in shape and not only in color.
 
     Args:
-        overlay: shapes, as `overlay_svg` draws them.
-        marked: whether the skin's marks are followed, whose signs are added.
+        marked: Add the signs of tracked marks.
     """
     times = float(overlay.get("arrow_times") or 1.0)
     longer = "" if times == 1 else f", {times:g} times as long"

@@ -57,10 +57,7 @@ class LivePage:
     """Page of live sensors in one tab.
 
     Args:
-        workspace: whose runs and calibrations may be chosen.
-        desk: of the server.
         names: of the sensors that are shown, as in the address.
-        cameras: lists cameras by address, in words.
     """
 
     def __init__(
@@ -202,12 +199,9 @@ class SensorCard:
     """One sensor: its state, its picture, its values and what can be asked of it.
 
     Args:
-        sensor: that is listened to.
-        index: of the card on its page.
         end: ends the sensor's process and takes the card away.
 
     Attributes:
-        sensor: that is listened to.
         part: by which the page's script knows its age.
     """
 

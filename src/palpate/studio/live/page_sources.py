@@ -46,11 +46,7 @@ def is_device(source: str, cameras: Cameras = plugged_in) -> bool:
 
 
 def source_options(workspace: Workspace, source: str, cameras: Cameras = plugged_in) -> dict[str, Any]:
-    """Options of a live process for a source that was chosen or typed on a page.
-
-    Raises:
-        OutsideError: the source is no device, and not in the workspace.
-    """
+    """Options of a live process for a source that was chosen or typed on a page."""
     if is_device(source, cameras):
         return {"camera": source}
     path = workspace.resolve(source)
@@ -63,11 +59,7 @@ def source_options(workspace: Workspace, source: str, cameras: Cameras = plugged
 
 
 def check_devices(camera: str, scale: str, cameras: Cameras = plugged_in) -> None:
-    """Refuse what a first session must not open: a camera or a scale that is a file or a network address.
-
-    Raises:
-        InputError: the camera or the scale is no device.
-    """
+    """Refuse what a first session must not open: a camera or a scale that is a file or a network address."""
     if not is_device(camera, cameras):
         raise InputError(f"{camera[:80]!r} is no camera. Choose one from the list, or type its number.")
     if re.search(r"[/\\]", scale) and not _is_device_file(scale, PORT_FILE):  # else a word, name, or number

@@ -27,17 +27,15 @@ ENDS_S = 15.0
 
 
 class StartRun:
-    """Process that goes through a session's steps.
+    """Process of a session.
 
     Attributes:
-        begun_s: when it began [s, monotonic time].
-        session: the newest that it told of the session.
-        collect: the newest that it told of the presses.
-        at: the step that it is at, also one that is done again; "" before it has told.
-        step, done, total: how far it is.
-        picture: number and JPEG bytes of the newest picture; None before the first.
-        said: the last word on a weight that was typed.
-        why: what ended it, where something did.
+        begun_s: Start, monotonic [s].
+        session, collect: Newest reported status of the session and of the presses.
+        at: Current step, also a repeated one; "" before the first report.
+        picture: Number and JPEG bytes of the newest picture; None before the first.
+        said: Result of the last typed weight.
+        why: Reason why it ended, if it failed.
     """
 
     def __init__(self, command: list[str]) -> None:
@@ -132,11 +130,7 @@ class StartDesk(Closing):
         self, folder: Path, camera: str, scale: str, presses: int, seed: int = 0, *,
         unit: str = "", real_time: bool = False, more: int = 0,
     ) -> StartRun:  # fmt: skip
-        """Begin a session, or go on with it; `more` presses beside those there, or anew where they are gone.
-
-        Raises:
-            InputError: it goes on already, or as many as are allowed do.
-        """
+        """Begin or resume a session; `more` presses in addition to those recorded, or anew without them."""
         with self._turn:
             going = [one for one in self._runs.values() if one.running]
             kept = self._runs.get(folder)
@@ -164,9 +158,6 @@ def kept_session(folder: Path) -> dict[str, Any]:
     """A folder's session as it was kept; empty where there is none.
 
     Where the run of its presses was deleted, "gone" says what can be done, and no commands are told.
-
-    Raises:
-        PalpateError: the file is not a session's.
     """
     from palpate.workflows.stored_session import STATE, StoredSession
 

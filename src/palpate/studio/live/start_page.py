@@ -57,11 +57,8 @@ class StartPage:
     """First page, in one tab.
 
     Args:
-        workspace: in which the session's folder lies.
-        starts, lives: of the server.
         name: of the session's folder, as in the address; "" for a new one.
         asked: camera, scale, unit and presses, where the address states them as `palpate start` does.
-        cameras: lists cameras by address, in words.
     """
 
     def __init__(
@@ -325,10 +322,7 @@ def _at(run: StartRun) -> str:
 
 
 def _state_of(step: str, session: Mapping[str, Any], running: StartRun | None) -> tuple[str, str]:
-    """State of a step in words, and its look.
-
-    A process that runs says itself what it is at: it may do again what was done before.
-    """
+    """State of a step in words, and its look."""
     order = list(STEPS)
     if running is not None:
         after = order.index(step) - order.index(_at(running))

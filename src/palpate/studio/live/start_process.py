@@ -37,12 +37,7 @@ RESTS = ("settings", "untouched", "collect")
 
 
 class WatchedFeed:
-    """A feed of presses that tells of its pictures as they are taken; all else is the feed's own.
-
-    Args:
-        feed: that is watched.
-        voice: that tells.
-    """
+    """A feed of presses that tells of its pictures as they are taken; all else is the feed's own."""
 
     def __init__(self, feed: Any, voice: JobVoice) -> None:
         self._feed, self._voice, self._told_s = feed, voice, 0.0
