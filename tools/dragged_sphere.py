@@ -44,7 +44,6 @@ class Dragged(OffCentre):
     """The disc under a sphere that is dragged.
 
     Attributes:
-        friction: Coulomb's coefficient.
         shift: of the sphere along x, now [R].
     """
 

@@ -53,8 +53,6 @@ class MeanEstimate:
 
     Attributes:
         value: the estimate [the values' unit].
-        low, high: ends of the interval.
-        freedom: degrees of freedom, `DEGREES_OF_FREEDOM`.
         p: two-sided, of Student's test that it is 0.
     """
 
@@ -75,8 +73,6 @@ class SpecimenDifference:
     """A difference of two specimens' means, the second's less the first's.
 
     Attributes:
-        first, second: their names.
-        difference: with its interval.
         shared: units of the outermost level in which both were pressed.
     """
 
@@ -93,16 +89,13 @@ class GroupedComparison:
     Attributes:
         units: number of units of each level, outermost first.
         means: of every specimen, over units as these were drawn; over those at hand where a level is fixed.
-        pairs: every two specimens.
         variance: of each level, outermost first, and ``within``; None where it cannot be told.
         correlation: of two trials of one unit of a level (and so of all levels further out), about their
             means: the share of the variance up to that level. None where it cannot be told.
         correlation_interval: of the one level that has a variance, exact for Gaussian values; None where
             there are two, or none.
         no_group_p: exact F-test that this one level's variance is 0; None where there are two, or none.
-        coverage: of every interval.
         converged: whether the search for the variances ended; if not, take nothing of this.
-        notes: what a reader must know.
     """
 
     units: dict[str, int]
@@ -134,15 +127,8 @@ def compare_grouped(
     """Compare specimens by trials that come in groups.
 
     Args:
-        values: one a trial, finite.
-        specimens: name of each trial's.
-        groups: by level, outermost first, each trial's unit; the units of a second level count within
-            those of the first. A second level ``specimen`` is a specimen's own seat in a session.
-        coverage: of intervals.
-
-    Raises:
-        InputError: fewer than two specimens, values that do not fit, no or too many levels, groups that each
-            hold one specimen, or trials that do not tell the variances apart.
+        groups: by level, outermost first, each trial's unit; the units of a second level count within those of
+            the first. A second level ``specimen`` is a specimen's own seat in a session.
 
     Example:
         >>> values = [1.0, 1.1, 2.0, 2.1, 1.4, 1.5, 2.4, 2.6, 0.8, 0.7, 1.8, 1.7]
@@ -204,11 +190,7 @@ def refuse_confounded(specimens: Sequence[str], groups: Mapping[str, Sequence[st
     """Refuse trials of which no unit of the outermost level holds two specimens.
 
     Args:
-        specimens: name of each trial's.
         groups: by level, outermost first, each trial's unit.
-
-    Raises:
-        InputError: what differs between specimens could then as well differ between units.
     """
     level, units = next(iter(groups.items()))
     held: dict[str, set[str]] = {}
@@ -311,16 +293,7 @@ def _refuse_untold(X: Matrix, V: Sequence[Square], levels: Sequence[str]) -> Non
 
 @dataclass(frozen=True)
 class _LeastSquaresAt:
-    """Generalised least squares at given variances, and the restricted likelihood there.
-
-    Attributes:
-        beta: fixed effects.
-        C: their covariance, (X' V^-1 X)^-1.
-        spread_of: V^-1 X C, so that an estimate L' beta is (V^-1 X C L)' y.
-        V: one matrix a variance.
-        log_likelihood: restricted, less a constant.
-        score, information: its gradient over the variances, and its expected curvature.
-    """
+    """Generalised least squares at given variances, and the restricted likelihood there."""
 
     beta: Float[ndarray, " p"]
     C: Float[ndarray, "p p"]
@@ -391,11 +364,6 @@ class _VariancePivot:
 
     In the space that the level's units add to the fixed effects, t_i ~ N(0, theta_e (1 + lambda d_i)); so
     sum t_i^2 / (1 + lambda d_i) / r over the mean square within is Fisher's F of r and e.
-
-    Attributes:
-        d, t: of that space's r axes.
-        square: mean square within.
-        e: its degrees of freedom.
     """
 
     d: Float[ndarray, " r"]

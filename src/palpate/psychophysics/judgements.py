@@ -68,11 +68,7 @@ class Task(StrEnum):
 
 
 def checked_code(word: str, what: str) -> str:
-    """A participant's or stimulus's code; never a name, a path, or anything that would be one.
-
-    Raises:
-        InputError: other characters, or too many.
-    """
+    """A participant's or stimulus's code; never a name, a path, or anything that would be one."""
     if not CODE.match(word):
         raise InputError(
             f"{what} {word!r}: {CODE_SAID} are allowed, and no person's name; give a code such as P01",
@@ -87,7 +83,6 @@ class Stimulus:
 
     Attributes:
         name: as the table of responses has it; participants do not see it.
-        level: by which stimuli differ.
         softer: +1 where a greater level is softer, -1 where it is harder.
         unit: of the level, such as ``kPa``.
     """
@@ -117,7 +112,6 @@ class Judgement:
     """One answer of one participant.
 
     Attributes:
-        participant: code.
         condition, presentation, task: what was given and asked.
         block, trial: when, counted from 1; together with the four before they are unique.
         presented: names of the stimuli, in the order of presentation; of a pair the standard is among them.
@@ -178,11 +172,7 @@ class Judgement:
         return f"participant {self.participant}, {given}, block {self.block}, trial {self.trial}"
 
     def right(self, stimuli: Mapping[str, Stimulus]) -> bool:
-        """Whether the softer of a pair was named; of a ranking, whether all of it is right.
-
-        Raises:
-            InputError: a stimulus that is not in the table, or two of one softness.
-        """
+        """Whether the softer of a pair was named; of a ranking, whether all of it is right."""
         return self.answer == self.truth(stimuli)
 
     def truth(self, stimuli: Mapping[str, Stimulus]) -> tuple[str, ...]:
@@ -203,11 +193,7 @@ class Judgement:
 
 
 def checked_judgements(judgements: Iterable[Judgement]) -> tuple[Judgement, ...]:
-    """Judgements, none of them twice.
-
-    Raises:
-        LabelError: two with one participant, condition, presentation, task, block and trial.
-    """
+    """Judgements, none of them twice."""
     seen: dict[tuple[str, str, str, str, int, int], Judgement] = {}
     for one in judgements:
         if one.key in seen:
@@ -221,13 +207,8 @@ def read_judgements(path: Path, unanswered: list[str] | None = None) -> tuple[Ju
     """The judgements of a table, or of all tables ``*/responses.csv`` in a folder.
 
     Args:
-        path: of the table or folder.
-        unanswered: takes a line for each row without an answer, which is then left out; without the list
-            such a row is refused.
-
-    Raises:
-        LabelError: it is no such table, a row cannot be read, or stands twice.
-        StorageError: it cannot be read.
+        unanswered: takes a line for each row without an answer, which is then left out; without the list such
+            a row is refused.
     """
     if path.is_dir():
         tables = [path / RESPONSES] if (path / RESPONSES).is_file() else sorted(path.glob(f"*/{RESPONSES}"))
@@ -289,12 +270,7 @@ def write_judgements(path: Path, judgements: Iterable[Judgement]) -> None:
 
 @parser("table of stimuli", InputError)
 def read_stimuli(path: Path) -> dict[str, Stimulus]:
-    """The stimuli of a table, or of ``stimuli.csv`` in a folder, by name.
-
-    Raises:
-        LabelError: it is no such table, a row cannot be read, or a name stands twice.
-        StorageError: it cannot be read.
-    """
+    """The stimuli of a table, or of ``stimuli.csv`` in a folder, by name."""
     table = path / STIMULI if path.is_dir() else path
     stimuli: dict[str, Stimulus] = {}
     for i, row in enumerate(_rows(table, STIMULUS_COLUMNS), start=1):

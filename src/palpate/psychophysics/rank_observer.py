@@ -41,10 +41,6 @@ class RankObserver:
         places: of the stimuli, the least soft first [standard deviations of the noise].
         lapse: share of answers that are random.
         reversal: share of answers that are turned round.
-
-    Raises:
-        InputError: fewer than two stimuli.
-        RangeError: a place that is not finite, or shares below 0 or together above 1.
     """
 
     places: tuple[float, ...]
@@ -73,7 +69,6 @@ class RankObserver:
 
         Args:
             sensitivity: d' of neighbours [standard deviations]; below 0 the order is perceived turned round.
-            stimuli: number of them.
             lapse, reversal: as above.
         """
         return cls(tuple(sensitivity * i for i in range(stimuli)), lapse, reversal)

@@ -44,11 +44,9 @@ class Pair:
     """Two groups.
 
     Attributes:
-        first, second: their names.
         rank_sum_p: Wilcoxon's rank-sum test, two-sided; exact where a group has 8 values or fewer (and, with
             ties, both together 500), else by the normal law; never below `least_p`.
         least_p: the smallest that it can be with groups of these sizes.
-        dunn_p: uncorrected.
         holm_p: Dunn's, corrected by Holm for all pairs.
     """
 
@@ -65,12 +63,10 @@ class Comparison:
     """Results of the tests.
 
     Attributes:
-        n: values in each group.
         lilliefors_p: of each group; small where it is not Gaussian. NaN for fewer than 4 values.
         standard_normal_p: of Kolmogorov and Smirnov's test of raw values against N(0, 1), as some packages
             run it by default: it asks whether the mean is 0 and the spread 1, and not for a shape.
         kruskal_h, kruskal_p: of all groups at once; 0 and 1 where all values are the same.
-        pairs: every two.
         warnings: what a reader must know before using the p-values.
     """
 
@@ -93,9 +89,6 @@ def compare(groups: Groups, *, pooled: bool = False) -> Comparison:
     Args:
         groups: by name: of every trial its samples, or its one value.
         pooled: take every sample as a value of its own, which the comparison then warns of.
-
-    Raises:
-        InputError: fewer than two groups, or one with fewer than two values, or a value that is not finite.
 
     Example:
         >>> groups = {"soft": [[1.0], [1.2], [1.1]], "hard": [[2.0], [2.2], [2.1]]}
@@ -137,13 +130,9 @@ def mean_interval(
     """Student's interval of the mean of Gaussian values, also of few of them.
 
     Args:
-        values: two or more.
         coverage: how often it holds the mean.
         known_sd: standard deviation of an error that all values share, which their scatter does not show.
             Degrees of freedom are then Welch and Satterthwaite's (JCGM 100:2008, G.4.1).
-
-    Raises:
-        InputError: fewer than two values, or one that is not finite.
     """
     x = np.asarray(values, np.float64)
     if len(x) < 2 or not np.isfinite(x).all():
@@ -227,11 +216,7 @@ def _holm(plain: Mapping[tuple[str, str], float]) -> dict[tuple[str, str], float
 
 
 def _lilliefors(values: Values) -> float:
-    """Kolmogorov and Smirnov's test against the normal law of the sample's own mean and spread.
-
-    By drawing as Lilliefors did, who drew 1000 samples; the same ones at every call. Of many values fewer
-    samples are drawn, for memory's sake.
-    """
+    """Kolmogorov and Smirnov's test against the normal law of the sample's own mean and spread."""
     if len(values) < MIN_FOR_LILLIEFORS or np.ptp(values) == 0:
         return float("nan")
     rng = np.random.default_rng(LILLIEFORS_SEED)
@@ -259,7 +244,6 @@ class Line:
         slope, start: of the line, in y's unit over x's and in y's.
         slope_low, slope_high: 95 % interval of the slope, if the points are independent.
         adjusted_r2: 1 less the residual variance over y's.
-        n: points.
         mean_x: of the points, in x's unit.
         sxx: sum of squares of x around it.
         residual: standard deviation of y around the line, with n - 2 degrees of freedom.
@@ -286,10 +270,8 @@ class Line:
 
 
 def fit_line(x: Values, y: Values) -> Line:
-    """Least squares; through values of y that are all the same the level line, without an adjusted R^2 (NaN).
-
-    Raises:
-        InputError: fewer than two points, all at one x, or one that is not finite.
+    """Least squares; through values of y that are all the same the level line, without an
+    adjusted R^2 (NaN).
     """
     x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
     if x.shape != y.shape or x.ndim != 1 or len(x) < 2 or np.ptp(x) == 0:

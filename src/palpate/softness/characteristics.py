@@ -32,7 +32,6 @@ class Characteristic:
     """Force of an object over the area, or the displacement, at which a finger presses it.
 
     Attributes:
-        cue: ``"area"`` or ``"displacement"``.
         x: area [m^2] or displacement [m], rising; the first is 0 or above.
         force_n: at each, rising; the first is 0 or above [N].
     """
@@ -76,11 +75,7 @@ class Characteristic:
         return float(self.force_n[-1])
 
     def force_at(self, x: float | Array) -> Array:
-        """Force at an area [m^2] or displacement [m].
-
-        Raises:
-            RangeError: it lies outside the table.
-        """
+        """Force at an area [m^2] or displacement [m]."""
         given = np.asarray(x, float)
         if np.any((given < self.x[0]) | (given > self.x[-1]) | np.isnan(given)):
             factor, unit = SHOWN[self.cue]
@@ -92,11 +87,7 @@ class Characteristic:
         return np.asarray(np.interp(given, self.x, self.force_n))
 
     def at_force(self, force_n: float | Array) -> Array:
-        """Area [m^2] or displacement [m] at a force; below the first force where the table begins.
-
-        Raises:
-            RangeError: more force than the table has, or less than none.
-        """
+        """Area [m^2] or displacement [m] at a force; below the first force where the table begins."""
         given = np.asarray(force_n, float)
         if np.any((given < 0) | (given > self.greatest_n * (1 + 1e-12)) | np.isnan(given)):
             raise RangeError(
@@ -112,7 +103,6 @@ class Characteristic:
         """Table of a law.
 
         Args:
-            cue: ``"area"`` or ``"displacement"``.
             law: from area [m^2] or displacement [m] to force [N].
             until: its end [m^2 or m].
             begins: its beginning [m^2 or m].
@@ -133,7 +123,6 @@ class SoftObject:
     """An object as a finger feels it.
 
     Attributes:
-        name: of the object.
         area: force over contact area, for the skin.
         displacement: force over displacement, for the arm.
         source: where the two are from, in words.
@@ -160,7 +149,6 @@ def pressed_object(
     """An object from one press: displacement and area at the same forces, all rising.
 
     Args:
-        name: of the object.
         force_n: from 0 [N].
         displacement_m: at each [m].
         area_m2: at each [m^2].
@@ -178,12 +166,8 @@ def fingertip_object(name: str, tip: Fingertip, greatest_n: float | None = None)
     """What a fingertip feels of the flat it is pressed on; see `palpate.mechanics.fingertip_laws`.
 
     Args:
-        name: of the object.
         tip: on a rigid flat, or on what lies under it.
         greatest_n: end of both curves; without, as far as the model is known [N].
-
-    Raises:
-        RangeError: a force outside what the model is known for.
     """
     end = tip.greatest_n if greatest_n is None else greatest_n
     if not end > 0:
@@ -196,10 +180,8 @@ def hertz_object(name: str, ball: Body, finger: Body, greatest_n: float) -> Soft
     """An elastic ball, or a flat, under an elastic ball of a finger, by Hertz.
 
     Args:
-        name: of the object.
         ball, finger: the two bodies; the finger has no default, since the objects that feel alike depend on
             it.
-        greatest_n: end of both curves [N].
     """
     if not 0 < greatest_n < np.inf:
         raise RangeError(f"greatest force {greatest_n:g} N; give one above 0 N", code="force-range")
@@ -223,7 +205,6 @@ def polynomial(cue: Cue, coefficients_n: Sequence[float], per: float, until: flo
     """Force as a polynomial.
 
     Args:
-        cue: ``"area"`` or ``"displacement"``.
         coefficients_n: of the powers 0, 1, 2, ... of x / per [N].
         per: unit in which the polynomial is written, such as 1e-4 m^2 for one in cm^2 [m^2 or m].
         until: its end [m^2 or m].

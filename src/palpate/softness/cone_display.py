@@ -27,7 +27,6 @@ class ConeDisplay:
 
     Attributes:
         height_m: by which its tip can be pushed in [m].
-        radius_m: of its base [m].
         rings: cylinders of which it is made; 0 for the ideal cone.
         sleeve_n_m: stiffness k of the sleeve over it; 0 for none [N/m].
     """
@@ -54,11 +53,7 @@ class ConeDisplay:
         return math.pi * self.radius_m**2
 
     def area_m2(self, pushed_m: float | Array) -> Array:
-        """Contact area at a displacement of the tip, of 0 to the height [m^2].
-
-        Raises:
-            RangeError: a displacement outside that.
-        """
+        """Contact area at a displacement of the tip, of 0 to the height [m^2]."""
         share = self._share(pushed_m)
         return np.asarray(self.greatest_m2 * (share if not self.rings else self._stair(share)) ** 2)
 

@@ -50,7 +50,6 @@ class IndentationPlan:
     Attributes:
         pressures_pa: gauge pressures, in the order in which they are held; 0 shows sleeve and friction [Pa].
         ways_m: of the tip, rising; each is also met on the way back but the last [m].
-        speed_m_s: of the probe between them [m/s].
         settle_s: waited at each [s].
         mean_s: over which pressure, way and force are then averaged [s].
     """
@@ -81,7 +80,6 @@ class BenchPoint:
     Attributes:
         told_pa, pressure_pa: gauge pressure told and measured [Pa].
         pushed_m: way of the tip, by the display's own sensor [m].
-        force_n: by the reference [N].
         direction: 1 pressing, -1 on the way back.
     """
 
@@ -94,12 +92,7 @@ class BenchPoint:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BenchTest:
-    """Points of a bench test beside the law of a stated display.
-
-    Attributes:
-        shape: as stated, with its sleeve.
-        points: as measured.
-    """
+    """Points of a bench test beside the law of a stated display."""
 
     shape: ConeDisplay
     points: tuple[BenchPoint, ...]
@@ -158,8 +151,6 @@ class BenchFit:
 
     Attributes:
         scale: c, of p A(s); 1 of the law.
-        sleeve_n_m: k [N/m].
-        friction_n: f [N].
         scale_error: standard error of c, as if points were independent.
         rms_n: root mean square of what the fit leaves [N].
     """
@@ -183,21 +174,13 @@ def run_bench_test(
     """Run a plan; the display is vented at its end, whatever happens.
 
     Args:
-        plan: pressures, steps and times.
         display: released here, and told its pressure in each period, which feeds its watchdog.
         move: tells the probe where to be, as a way of the tip from first touch [m]; returns at once. It is
             told to be at 0 before each pressure.
-        force_n: the force reference [N].
-        clock: of the periods.
         shape: as stated, with its sleeve; by default a cone of the display's height and radius.
-        progress: called with each pressure.
 
     Returns:
         The points.
-
-    Raises:
-        RangeError: the display does not go as far as the plan, or does not hold its pressures.
-        DeviceError: a device does not answer, says a fault, or its tip does not go with the probe.
     """
     shown = display.range
     if plan.ways_m[-1] > shown.height_m or max(plan.pressures_pa) > shown.greatest_pa:
@@ -235,12 +218,7 @@ def run_bench_test(
 
 
 def write_bench_table(test: BenchTest, path: Path) -> None:
-    """Write the points as CSV, SI units in the columns' names.
-
-    Raises:
-        ExistsError: `path` exists.
-        StorageError: the disk refused.
-    """
+    """Write the points as CSV, SI units in the columns' names."""
     with new_file(path) as building, building.open("w", newline="", encoding="utf-8") as file:
         rows = csv.writer(file)
         rows.writerow([*(one.name for one in fields(BenchPoint)), "law_n"])

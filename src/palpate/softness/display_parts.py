@@ -18,11 +18,7 @@ ROOM_K = 293.15
 
 
 def check_parts(parts: object, *, zero: tuple[str, ...] = ()) -> None:
-    """Refuse a figure that is not finite and above 0; those named may be 0.
-
-    Raises:
-        RangeError: names the figure.
-    """
+    """Refuse a figure that is not finite and above 0; those named may be 0."""
     for one in fields(parts):  # type: ignore[arg-type]
         value = getattr(parts, one.name)
         if isinstance(value, float) and not (
@@ -43,8 +39,6 @@ class ProportionalValve:
 
     Attributes:
         conductance: sonic, fully open, C [m^3/(s Pa)].
-        critical_ratio: of pressures, b.
-        bandwidth_hz: of the spool [Hz].
         overlap: share of the stroke, to either side, in which no way is open.
         supply_pa: gauge pressure at its inlet [Pa].
     """
@@ -72,12 +66,9 @@ class Chamber:
         dead_m3: volume that no push displaces: tube of 0.3 m and 2.5 mm, and what lies under the cone [m^3].
         tube_lag_s: after which flow from the valve arrives: 0.3 m at the speed of sound [s].
         leak: sonic conductance to the air, past the cylinders [m^3/(s Pa)].
-        safety: sonic conductance of the switching valve between valve and chamber, which without current
-            lets the chamber out and shuts the other off [m^3/(s Pa)].
-        safety_s: in which it switches [s].
+        safety: sonic conductance of the switching valve between valve and chamber, which without current lets
+            the chamber out and shuts the other off [m^3/(s Pa)].
         polytropic: exponent n of p V^n, between 1, isothermal, and 1.4.
-        sleeve_n_m: stiffness of the latex sleeve [N/m].
-        friction_n: of the cylinders [N].
         damping_n_s_m: of the tip against the base [N s/m].
         tip_kg: mass that moves with the tip [kg].
     """
@@ -103,10 +94,6 @@ class DisplaySensors:
 
     A linear Hall sensor such as the Allegro A1324 states a bandwidth of 17 kHz; with a magnet that gives
     0.4 V a millimetre, a noise of 1 to 2 mV is some micrometres. The pressure sensor's is an assumption.
-
-    Attributes:
-        hall_noise_m: standard deviation [m].
-        pressure_noise_pa: standard deviation [Pa].
     """
 
     hall_noise_m: float = 4e-6
@@ -125,13 +112,8 @@ class ArmMechanics:
 
     Attributes:
         mass_kg: that moves, with the display on it [kg].
-        friction_n: Coulomb [N].
-        damping_n_s_m: viscous [N s/m].
         brake_n_s_m: viscous while it brakes, its motors' windings joined [N s/m].
-        force_n: greatest [N].
         lag_s: from a force asked to a force given [s].
-        resolution_m: of its position [m].
-        reach_m: to either side [m].
     """
 
     mass_kg: float = 0.30
@@ -157,14 +139,8 @@ class FingerMechanics:
     constants here are of that order, and an assumption. Physiological tremor lies at 8 to 12 Hz.
 
     Attributes:
-        mass_kg: [kg].
-        stiffness_n_m: of the muscles [N/m].
-        damping_n_s_m: [N s/m].
         pulp_n: b of F = b (exp(m d) - 1) [N].
-        pulp_per_m: m [1/m].
-        pulp_damping_n_s_m: [N s/m].
         tremor_m: amplitude of the place where it is meant to be [m].
-        tremor_hz: [Hz].
     """
 
     mass_kg: float = 6e-3

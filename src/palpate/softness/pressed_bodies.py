@@ -47,12 +47,8 @@ def fingertip_press(name: str, fields: Mapping[str, Any], folder: Path) -> SoftO
     """What a finger feels of a rigid flat, of a material, or of a measured object.
 
     Args:
-        name: of the object.
         fields: of the whole file, ``[fingertip]`` among them.
         folder: in which files named in it are looked for.
-
-    Raises:
-        InputError, RangeError, UnitError, StorageError: as `read_object` says.
     """
     own = table_of("fingertip", fields["fingertip"])
     tip = _fingertip(own)

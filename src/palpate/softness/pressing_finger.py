@@ -33,9 +33,7 @@ class FingerPresses:
 
     Attributes:
         depth_m: to which it means to go past first touch [m].
-        frequency_hz: of presses [Hz].
         gap_m: by which it hangs above the surface between them [m].
-        starts_s: when it comes down first [s].
         count: of presses; it stays above after them.
     """
 

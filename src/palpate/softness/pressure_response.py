@@ -41,8 +41,6 @@ class PressureResponse:
     """Answer of a pressure to sines of one amplitude.
 
     Attributes:
-        amplitude_pa: as told [Pa].
-        frequency_hz: rising [Hz].
         gain: amplitude measured over the one told.
         phase_rad: of what is measured, negative where it is late, without jumps [rad].
     """
@@ -90,15 +88,7 @@ def measure_pressure_response(
 
     Args:
         display: released here, and told its pressure once in a period of 1 ms.
-        amplitude_pa: of the sine [Pa].
-        clock: of the periods.
-        middle_pa: about which it goes [Pa].
         frequencies_hz: rising, to 200 Hz at most [Hz].
-        progress: called with each frequency.
-
-    Raises:
-        RangeError: a pressure beyond the display's range, or a frequency beyond what periods of 1 ms show.
-        DeviceError: the display does not answer, or says a fault.
     """
     if not 0 < amplitude_pa <= min(middle_pa, display.range.greatest_pa - middle_pa):
         raise RangeError(

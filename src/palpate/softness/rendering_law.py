@@ -79,7 +79,6 @@ class DisplayBounds:
 
     Attributes:
         pressure_pa: greatest gauge pressure of the chamber [Pa].
-        force_n: greatest force on the finger [N].
         arm_m: least and greatest displacement of the arm, towards the finger's press [m].
     """
 
@@ -107,11 +106,8 @@ class Rendered:
     """What is asked of the devices at displacements of the display, an array each.
 
     Attributes:
-        pushed_m: displacement of the display [m].
-        area_m2: contact area [m^2].
         pressure_pa: gauge pressure [Pa].
         force_n: on the finger, p A and the sleeve's [N].
-        arm_m: displacement of the arm [m].
         limit: why a state is not rendered; "" where it is.
     """
 
@@ -135,14 +131,7 @@ class Rendered:
 
 @dataclass(frozen=True)
 class RenderingLaw:
-    """References of both devices for one object.
-
-    Attributes:
-        object: what is to be felt.
-        display: through what.
-        bounds: of the devices.
-        mode: which cues.
-    """
+    """References of both devices for one object."""
 
     object: SoftObject
     display: ConeDisplay = field(default_factory=ConeDisplay)
@@ -168,10 +157,6 @@ class RenderingLaw:
 
         Args:
             pushed_m: of 0 to the display's height [m].
-
-        Raises:
-            RangeError: a displacement outside that, or that is not a number.
-            InputError: in CM2, where no display is.
         """
         if self.mode is Mode.KINESTHETIC:
             raise InputError("in CM2 a rigid plate is in place of the display; ask plate_force")
@@ -230,11 +215,7 @@ class Onset:
 
 
 def find_onset(soft: SoftObject, pressure_pa: float, greatest_m2: float) -> Onset:
-    """The smallest area from which on an object can be rendered as it is.
-
-    Raises:
-        RangeError: there is none below the display's greatest area.
-    """
+    """The smallest area from which on an object can be rendered as it is."""
     alpha = soft.area
     for area, force, slope in _corners(alpha):
         if area > greatest_m2:

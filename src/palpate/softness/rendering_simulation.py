@@ -33,8 +33,6 @@ class Rendering:
     """What a finger felt, period by period; the first press is left out of the scores.
 
     Attributes:
-        law: what was rendered.
-        frequency_hz: of presses [Hz].
         time_s, force_n, pushed_m, area_m2, arm_m, pressure_pa: of the bench [s], [N], [m], [m^2], [m], [Pa].
         told_pa: pressure that the loop asked for [Pa].
         work_j: that the finger had done on the object so far [J].
@@ -114,9 +112,7 @@ def virtual_bench(
 
     Args:
         soft, mode, peak_n, frequency_hz, seed, parts, servo: as in `simulate`.
-        clock: that it follows.
         starts_s: when the finger comes down first [s].
-        watchdog_s: of both devices [s].
     """
     parts = replace(parts or BenchParts(), plate=mode is Mode.KINESTHETIC)
     felt = soft if mode is not Mode.CUTANEOUS else _still(soft)
@@ -132,19 +128,9 @@ def simulate(
     """Press an object as the bench renders it.
 
     Args:
-        soft: the object.
-        mode: CM1, CM2 or CM3.
         peak_n: force that a slow press would come to [N].
-        frequency_hz: of presses [Hz].
-        seed: of the sensors' noise.
         parts: of the bench, as they truly are.
-        servo: of its pressure.
-        presses: how many.
         progress: hears how many periods are done.
-
-    Raises:
-        Tripped: the loop's guard stopped it.
-        RangeError: the object cannot be rendered, or has no such force.
     """
     clock = ManualClock()
     bench, law = virtual_bench(soft, mode, clock, peak_n, frequency_hz, seed=seed, parts=parts, servo=servo)

@@ -62,11 +62,8 @@ class StackedSpecimen:
     """Two cylinders on a rigid table.
 
     Attributes:
-        kind: class.
         name: such as ``CL3 0 % on 45 %``.
         above_pa: Young's modulus of the upper cylinder; infinite for a rigid one [Pa].
-        below_pa: of the lower [Pa].
-        poisson: of the silicone.
     """
 
     kind: SpecimenClass
@@ -82,13 +79,8 @@ def specimens(
     """The five specimens of a class.
 
     Args:
-        kind: class.
         moduli_pa: Young's moduli with 0, 10, 20, 35 and 45 % of softener, falling [Pa].
         poisson: of the silicone, 0 to below 0.5.
-
-    Raises:
-        InputError: not five moduli, or they do not fall.
-        RangeError: a modulus that is not above 0 and finite, or a Poisson's ratio outside its range.
     """
     E = [float(one) for one in moduli_pa]
     if len(E) != len(SOFTENER):
@@ -147,13 +139,8 @@ def specimen_object(one: StackedSpecimen, finger: Body, until_n: float | None = 
     """Both cues of a specimen under a finger.
 
     Args:
-        one: specimen.
         finger: an elastic ball; its modulus is over 1 - nu^2. The report's radius is 15 mm.
         until_n: force at which both curves end; without, where small strain ends [N].
-
-    Raises:
-        RangeError: a force that is not above 0, or beyond small strain: a contact of more than half the
-            finger's radius, or silicone pressed in by more than a fifth of its height.
     """
     solve = _plate if one.kind == SpecimenClass.PLATE else _layers
     try:

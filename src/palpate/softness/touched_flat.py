@@ -42,7 +42,6 @@ class Cylinder:
     """A specimen between two plates, by which its stiffness becomes a modulus.
 
     Attributes:
-        radius_m, height_m: of it [m].
         poisson: of its material, 0 to 0.5.
         ends: whether it sticks to both plates.
     """
@@ -79,10 +78,7 @@ class TouchedFlat:
     """A flat's Young's modulus over 1 - nu^2, as read.
 
     Attributes:
-        flat_pa: value [Pa].
         low_pa, high_pa: ends of its interval; the upper one may be infinite [Pa].
-        coverage: of the interval.
-        calibration: id of the calibration.
         words: where it is from.
     """
 
@@ -123,14 +119,7 @@ def read_touched_flat(path: Path, use: str, cylinder: Cylinder | None = None) ->
 
     Args:
         path: its readings.json, or what ``--json`` printed.
-        use: ``modulus``, ``stiffness`` or ``stiffness_both_cues``.
         cylinder: the specimen that a stiffness is of.
-
-    Raises:
-        InputError: no such record, no valid reading of that quantity, or a stiffness without its cylinder.
-        UnitError: another unit.
-        RangeError: a value that is not above 0.
-        StorageError: it cannot be read.
     """
     if use not in CUES:
         raise InputError(f"a flat by {use!r}; there are {', '.join(CUES)}", code="flat-kind")

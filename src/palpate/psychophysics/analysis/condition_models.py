@@ -54,14 +54,8 @@ class ConditionCounts:
     """Right answers of participants in conditions.
 
     Attributes:
-        conditions: names.
-        participants: codes.
         right: a row a participant, a column a condition.
         n: answers, likewise; 0 where there are none.
-
-    Raises:
-        InputError: shapes that do not fit.
-        RangeError: more right than there are.
     """
 
     conditions: tuple[str, ...]
@@ -82,11 +76,7 @@ class LogOddsDifference:
     """A difference of two conditions' log odds, the second's less the first's.
 
     Attributes:
-        first, second: names.
         value: of the difference [logits].
-        low, high: 95 % interval.
-        p: two-sided, that it is 0.
-        holm_p: corrected for all pairs.
     """
 
     first: str
@@ -103,12 +93,7 @@ class MixedLogistic:
     """A logistic model with participants' intercepts, and one difference of conditions for all people.
 
     Attributes:
-        conditions: names.
         log_odds: of an average participant [logits].
-        covariance: of these.
-        intercept_sd: how far participants scatter [logits].
-        log_likelihood: greatest, the penalty taken off.
-        pairs: every two conditions.
         converged: whether the search ended; if not, take nothing of this.
     """
 
@@ -126,9 +111,6 @@ def marginal_log_odds(counts: ConditionCounts) -> tuple[LogOddsDifference, ...]:
 
     A condition of which all answers are right, or all wrong, has no finite log odds: pairs with it are left
     out, and `sign_flip_p` is what remains.
-
-    Raises:
-        InputError: fewer than two participants.
     """
     _several(counts)
     k, m = counts.right.sum(axis=0), counts.n.sum(axis=0)
@@ -144,11 +126,7 @@ def marginal_log_odds(counts: ConditionCounts) -> tuple[LogOddsDifference, ...]:
 
 
 def fit_mixed_logistic(counts: ConditionCounts) -> MixedLogistic:
-    """Conditions with a random intercept of each participant, by greatest penalised likelihood.
-
-    Raises:
-        InputError: fewer than two participants.
-    """
+    """Conditions with a random intercept of each participant, by greatest penalised likelihood."""
     _several(counts)
 
     def off(unknowns: ndarray) -> tuple[float, ndarray]:
@@ -176,7 +154,6 @@ def mixed_log_likelihood(counts: ConditionCounts, log_odds: Float[ndarray, " c"]
     """Log likelihood of participants' counts, less the binomial coefficients.
 
     Args:
-        counts: right answers.
         log_odds: of each condition [logits].
         sd: of participants' intercepts [logits].
     """
@@ -184,11 +161,7 @@ def mixed_log_likelihood(counts: ConditionCounts, log_odds: Float[ndarray, " c"]
 
 
 def _log_likelihood(counts: ConditionCounts, log_odds: ndarray, sd: float) -> tuple[float, ndarray]:
-    """Log likelihood, and its slope over the log odds and the scatter.
-
-    Nodes lie about each participant's likeliest intercept, as far apart as his answers tell it: of many
-    answers they tell it far better than the scatter does, and nodes of the scatter's size would miss it.
-    """
+    """Log likelihood, and its slope over the log odds and the scatter."""
     nodes, weights = np.polynomial.hermite_e.hermegauss(NODES)
     middle, size = _likeliest_intercepts(counts, log_odds, sd)
     u = middle[:, None] + size[:, None] * nodes  # intercepts over their scatter, a row a participant
@@ -204,10 +177,8 @@ def _log_likelihood(counts: ConditionCounts, log_odds: ndarray, sd: float) -> tu
 
 
 def _likeliest_intercepts(counts: ConditionCounts, log_odds: ndarray, sd: float) -> tuple[ndarray, ndarray]:
-    """Each participant's likeliest intercept and its standard error, over their scatter, by Newton's steps.
-
-    A step moves no log odds by more than 1: the curvature then changes by at most a factor e, and the
-    steps, of a function that is concave, cannot run away.
+    """Each participant's likeliest intercept and its standard error, over their scatter, by
+    Newton's steps.
     """
     u = np.zeros(len(counts.n))
     for _ in range(MAX_STEPS):
@@ -227,11 +198,7 @@ def sign_flip_p(differences: Sequence[float] | ndarray, rng: np.random.Generator
     """Two-sided p of participants' differences having their signs by chance.
 
     Args:
-        differences: one a participant.
         rng: for more than sixteen participants, of whom signs are drawn; of seed 0 where there is none.
-
-    Raises:
-        InputError: none, or one that is not finite.
     """
     d = np.asarray(differences, np.float64)
     if not len(d) or not np.isfinite(d).all():
@@ -248,12 +215,8 @@ class ShareDifference:
     """A difference of two conditions' shares of right answers, over participants who met both.
 
     Attributes:
-        first, second: names.
-        participants: number of those.
         value: mean of their differences, the second's less the first's.
         low, high: Student's 95 % interval over participants; None where all differ by the same.
-        p: by `sign_flip_p`.
-        holm_p: corrected for all pairs.
         least_p: the smallest p that so many participants can give.
     """
 
@@ -269,11 +232,7 @@ class ShareDifference:
 
 
 def share_differences(counts: ConditionCounts) -> tuple[ShareDifference, ...]:
-    """Differences of every two conditions, each participant against himself.
-
-    Raises:
-        InputError: fewer than two participants.
-    """
+    """Differences of every two conditions, each participant against himself."""
     _several(counts)
     found = []
     for i, j in combinations(range(len(counts.conditions)), 2):

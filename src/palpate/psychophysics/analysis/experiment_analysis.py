@@ -53,9 +53,6 @@ class SettingAccuracy:
     """Share of right answers in one setting; of rankings, of right places.
 
     Attributes:
-        task, setting: which.
-        participants: number of them.
-        right, n: answers; of rankings places.
         wald, wilson, clopper_pearson: 95 % intervals of answers taken as independent.
         clusters: over participants; None for one.
     """
@@ -81,8 +78,6 @@ class SettingRankings:
     """Rankings in one setting.
 
     Attributes:
-        setting: which.
-        confusion: their matrix.
         perfect: number without a fault.
         tau, rho: mean of Kendall's and of Spearman's over rankings.
         told: rankings whose tau has an exact two-sided p below 0.05.
@@ -104,7 +99,6 @@ class SettingThreshold:
     """The psychometric function of pairs with one standard.
 
     Attributes:
-        setting: which.
         standard: name of the stimulus that is in every pair.
         levels: of the comparisons [the stimuli's unit].
         given, n: how often each was called softer than the standard, of how many.
@@ -135,8 +129,6 @@ class TaskComparison:
     """Settings of one task compared.
 
     Attributes:
-        task: which.
-        shares: participants against themselves.
         marginal: log odds by an estimating equation.
         mixed: by a random intercept, of pairs alone: places in one ranking are not independent.
     """
@@ -152,12 +144,9 @@ class ExperimentAnalysis:
     """All that is found of an experiment.
 
     Attributes:
-        participants: their codes.
-        judgements: number of answers.
         unanswered: a line for each row without one.
         accuracies, rankings, thresholds, comparisons: by setting and task.
         caveats: what a reader must know, a sentence each.
-        unit: of levels.
     """
 
     participants: tuple[str, ...]
@@ -191,18 +180,10 @@ def analyse_experiment(
     """Analyse an experiment's judgements.
 
     Args:
-        judgements: none twice.
-        stimuli: by name.
         unanswered: a line for each row without an answer.
         simulated: whether nobody answered, or nothing could be felt; it is then the first caveat.
-        shape: of psychometric functions.
         logarithmic: count levels by their logarithm; Weibull's are in any case.
         lapse: share of slips at both ends of psychometric functions; None to find it.
-        seed: of draws.
-
-    Raises:
-        RangeError: lapses of one half or more.
-        InputError: no judgements, or stimuli that are not in the table.
     """
     if not judgements:
         raise InputError(

@@ -37,11 +37,6 @@ def wald_half_width(mean: float, n: int, coverage: float = 0.95) -> float:
 
     Args:
         mean: share of right answers, 0 to 1; need not be a whole number over n.
-        n: answers.
-        coverage: that is claimed.
-
-    Raises:
-        RangeError: a share outside 0 to 1, or no answers.
     """
     if not 0 <= mean <= 1 or n < 1:
         raise RangeError(f"a share of {mean:g} of {n} answers; 0 to 1 of one answer or more are allowed")
@@ -62,13 +57,6 @@ def wald_interval(right: int, n: int, coverage: float = 0.95) -> Ends:
 def wilson_interval(right: int, n: int, coverage: float = 0.95) -> Ends:
     """Wilson's score interval.
 
-    Args:
-        right, n: right answers, of all.
-        coverage: that is claimed.
-
-    Raises:
-        RangeError: more right than there are, or none at all.
-
     Example:
         >>> [round(end, 4) for end in wilson_interval(30, 30)]
         [0.8865, 1.0]
@@ -80,15 +68,7 @@ def wilson_interval(right: int, n: int, coverage: float = 0.95) -> Ends:
 
 
 def clopper_pearson_interval(right: int, n: int, coverage: float = 0.95) -> Ends:
-    """Clopper and Pearson's exact interval: covers at its rate or more.
-
-    Args:
-        right, n: right answers, of all.
-        coverage: that is claimed.
-
-    Raises:
-        RangeError: more right than there are, or none at all.
-    """
+    """Clopper and Pearson's exact interval: covers at its rate or more."""
     _checked(right, n)
     tail = (1 - coverage) / 2
     low = 0.0 if right == 0 else float(stats.beta.ppf(tail, right, n - right + 1))
@@ -101,7 +81,6 @@ def newcombe_interval(first: tuple[int, int], second: tuple[int, int], coverage:
 
     Args:
         first, second: right answers and all, of each.
-        coverage: that is claimed.
     """
     (p, (p_low, p_high)), (q, (q_low, q_high)) = (
         (right / _checked(right, n), wilson_interval(right, n, coverage)) for right, n in (first, second)
@@ -131,13 +110,6 @@ def cluster_interval(
 
     Args:
         right, n: right answers and all, of each participant; those without answers are left out.
-        rng: of the draws.
-        coverage: that is claimed.
-        draws: number of them.
-
-    Raises:
-        InputError: fewer than two participants with answers: their differences are then unknown.
-        RangeError: more right than there are.
     """
     k, m = (np.asarray(each, np.float64) for each in (right, n))
     k, m = k[m > 0], m[m > 0]

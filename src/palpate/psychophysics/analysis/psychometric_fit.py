@@ -60,8 +60,6 @@ class PosteriorRange:
     """A parameter's posterior.
 
     Attributes:
-        value: its median.
-        low, high: ends of the interval.
         bounded: whether the data, and not the prior alone, bound it below and above.
     """
 
@@ -77,12 +75,9 @@ class PsychometricFit:
 
     Attributes:
         function: at the posterior medians.
-        threshold, spread: as `PsychometricFunction` has them.
         lapse: None where it was given.
         deviance: of the function of greatest likelihood that does not fall, its lapse rate as in `function`.
         deviance_p: share of data drawn from it that fit as badly; small where the function is wrong.
-        answers: in all.
-        coverage: of the intervals.
         notes: what a reader must know, in words by code.
     """
 
@@ -123,12 +118,6 @@ def most_likely(
         levels: of the stimuli [any one unit].
         given, n: how often the answer was given at each, of how many.
         shape: of F(a + b x); a Weibull needs logarithmic levels.
-        guess, lapse: rates, given.
-        logarithmic: count levels by their logarithm.
-
-    Raises:
-        InputError: fewer than two levels with answers, or counts that do not fit.
-        RangeError: levels or rates out of range.
     """
     x, k, m = _checked(levels, given, n, logarithmic=logarithmic)
     checked_rates(guess, lapse)
@@ -160,18 +149,12 @@ def fit_psychometric(
     Args:
         levels: of the stimuli [any one unit].
         given, n: how often the answer was given at each, of how many.
-        shape: of the sigmoid.
         guess: probability far below.
         lapse: probability of a lapse, or None to find it.
         guess_is_lapse: lapses are as frequent at both ends, as where either of two answers may be a slip.
         logarithmic: count levels by their logarithm; Weibull's are in any case.
-        coverage: of the intervals, equal tails.
         deviance_draws: data drawn to judge the deviance; 0 for no judgement (p is NaN).
         rng: of those draws; of seed 0 where there is none.
-
-    Raises:
-        InputError: fewer than two levels with answers, or counts that do not fit.
-        RangeError: levels, rates or coverage out of range.
 
     Example:
         >>> found = fit_psychometric([1, 2, 3, 4, 5], [1, 6, 15, 26, 30], [30] * 5, deviance_draws=0)
@@ -332,12 +315,7 @@ def _judged(
 def _posterior(
     x: Levels, k: Counts, m: Counts, shape: SigmoidShape, guess: float, lapse: float | None, both: bool
 ) -> tuple[list[ndarray], ndarray]:
-    """Axes of threshold, log spread and lapse, and the posterior's mass at each node of their grid.
-
-    A posterior may lie between the nodes of a grid as wide as the priors: so nodes are added about the
-    greatest likelihood, and the box is narrowed again while it shrinks by more than its nodes tell.
-    The fine grid is stretched, since a sharp posterior of few answers has long tails.
-    """
+    """Axes of threshold, log spread and lapse, and the posterior's mass at each node of their grid."""
     size, step = float(np.ptp(x)), float(np.diff(np.unique(x)).min())
     box = [
         (x.min() - size, x.max() + size),
@@ -392,10 +370,7 @@ def _stretched(box: tuple[float, float], core: tuple[float, float], count: int) 
 def _likely_nodes(
     x: Levels, k: Counts, m: Counts, shape: SigmoidShape, guess: float, lapse: float | None, both: bool
 ) -> list[ndarray]:
-    """Thresholds, log spreads and lapses about those of greatest likelihood, by their standard errors.
-
-    None where no rising function is likeliest: the posterior is then as wide as the priors.
-    """
+    """Thresholds, log spreads and lapses about those of greatest likelihood, by their standard errors."""
 
     def line(rate: float) -> tuple[float, float, float, ndarray]:
         below = rate if both else guess

@@ -76,17 +76,12 @@ class PsychometricFunction:
     """One psychometric function; calling it gives the probability at levels.
 
     Attributes:
-        shape: of F.
         threshold: level at which F is 1/2 [the level's unit].
-        spread: from there to where F is 3/4 [the level's unit; of logarithmic levels a difference of
-            natural logarithms].
+        spread: from there to where F is 3/4 [the level's unit; of logarithmic levels a difference of natural
+            logarithms].
         guess: probability far below, 0 to below 1.
         lapse: 1 less the probability far above.
         logarithmic: whether levels count by their logarithm; Weibull's do always.
-
-    Raises:
-        RangeError: a spread that is not above 0, or rates that leave no rise.
-        InputError: Weibull's over linear levels.
     """
 
     shape: SigmoidShape
@@ -115,11 +110,7 @@ class PsychometricFunction:
 
 
 def checked_rates(guess: float, lapse: float) -> None:
-    """Refuse rates of guesses and lapses that leave no rise.
-
-    Raises:
-        RangeError: one below 0, or both together 1 or more.
-    """
+    """Refuse rates of guesses and lapses that leave no rise."""
     if guess < 0 or lapse < 0 or guess + lapse >= 1:
         raise RangeError(
             f"guesses of {guess:g} and lapses of {lapse:g}; each is 0 or more, and together they are below 1",
@@ -128,11 +119,7 @@ def checked_rates(guess: float, lapse: float) -> None:
 
 
 def as_counted(levels: ndarray, *, logarithmic: bool) -> ndarray:
-    """Levels as they count: themselves, or their natural logarithm.
-
-    Raises:
-        RangeError: a level that is not finite, or not above 0 where its logarithm is needed.
-    """
+    """Levels as they count: themselves, or their natural logarithm."""
     if not np.isfinite(levels).all() or (logarithmic and (levels <= 0).any()):
         what = "above 0 and finite" if logarithmic else "finite"
         raise RangeError(

@@ -35,9 +35,6 @@ class RankConfusion:
     Attributes:
         names: of the stimuli, in the true order.
         counts: row of true place, column of the place given.
-
-    Raises:
-        InputError: not square, a count that is negative, or rows and columns that do not all sum to the same.
     """
 
     names: tuple[str, ...]
@@ -85,9 +82,6 @@ def confusion_of_places(names: Sequence[str], places: Int[ndarray, "n m"]) -> Ra
     Args:
         names: of the stimuli in the true order.
         places: of each ranking the place given to each stimulus, from 0.
-
-    Raises:
-        InputError: no rankings, or a row that is no order.
     """
     m = len(names)
     if not len(places) or not (np.sort(places, axis=1) == np.arange(m)).all():
@@ -103,11 +97,7 @@ def confusion_of_places(names: Sequence[str], places: Int[ndarray, "n m"]) -> Ra
 def places_given(
     judgements: Iterable[Judgement], stimuli: Mapping[str, Stimulus]
 ) -> tuple[tuple[str, ...], Int[ndarray, "n m"]]:
-    """Names in the true order, from the least soft, and the place that each ranking gave them.
-
-    Raises:
-        InputError: no rankings, or rankings of different sets of stimuli.
-    """
+    """Names in the true order, from the least soft, and the place that each ranking gave them."""
     ranked = [one for one in judgements if one.task is Task.RANK]
     sets = {frozenset(one.presented) for one in ranked}
     if len(sets) != 1:
@@ -133,7 +123,6 @@ class RankCorrelation:
     Attributes:
         tau: Kendall's, -1 for the order turned round to 1.
         tau_p: two-sided, exact: the share of all orders whose tau is as far from 0.
-        rho: Spearman's.
         rho_p: likewise; of more than eight stimuli by Student's t.
     """
 
@@ -148,9 +137,6 @@ def rank_correlation(places: Sequence[int] | ndarray) -> RankCorrelation:
 
     Args:
         places: given to the stimuli in their true order, each once.
-
-    Raises:
-        InputError: no order, or of fewer than two.
 
     Example:
         >>> found = rank_correlation([1, 0, 2, 3, 4])

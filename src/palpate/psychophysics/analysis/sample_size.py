@@ -30,13 +30,9 @@ class PlannedStudy:
     Attributes:
         first, second: shares of right answers in the population, above 0 and below 1.
         answers: of each participant in each condition.
-        intercept_sd: how far participants scatter [logits].
         effect_sd: how far participants' own differences between the conditions scatter [logits]; 0 is that
             all differ by the same, which is seldom so and asks for too few.
         significance: below which p counts.
-
-    Raises:
-        RangeError: a number out of its range.
     """
 
     first: float
@@ -62,7 +58,6 @@ class StudyPower:
     """How often a planned study finds its difference.
 
     Attributes:
-        participants: number of them.
         power: share of simulated studies with a p below the significance.
         low, high: 95 % interval of that share.
     """
@@ -76,11 +71,7 @@ class StudyPower:
 def simulated_power(
     study: PlannedStudy, participants: int, rng: np.random.Generator, studies: int = STUDIES
 ) -> StudyPower:
-    """Power with so many participants.
-
-    Raises:
-        RangeError: fewer than two participants, or more than `MAX_PARTICIPANTS`.
-    """
+    """Power with so many participants."""
     if not 2 <= participants <= MAX_PARTICIPANTS:
         raise RangeError(f"{participants} participants; 2 to {MAX_PARTICIPANTS} are allowed")
     sd = math.hypot(study.intercept_sd, study.effect_sd / 2)  # of one condition's log odds over participants
@@ -99,11 +90,7 @@ def simulated_power(
 def participants_needed(
     study: PlannedStudy, rng: np.random.Generator, power: float = 0.8, studies: int = STUDIES
 ) -> StudyPower:
-    """Fewest participants that reach a power, as far as so many simulated studies tell.
-
-    Raises:
-        RangeError: `MAX_PARTICIPANTS` do not reach it.
-    """
+    """Fewest participants that reach a power, as far as so many simulated studies tell."""
     low, high = 2, 4
     while simulated_power(study, high, rng, studies).power < power:
         low, high = high, 2 * high

@@ -48,9 +48,6 @@ class Placement:
         """The beginning, of a grid that the differences span.
 
         m goes over half of their range, s from a quarter of the least difference to twice the range.
-
-        Raises:
-            InputError: no two differences, or one of 0.
         """
         differences = np.asarray(x, float)
         if len(differences) < 2 or not np.all(differences):

@@ -62,7 +62,6 @@ class GroupPart(Part):
     """Participants who meet the same presentations.
 
     Attributes:
-        name: of the group.
         participants: how many there shall be; whoever comes beyond all groups' sum begins the round again.
         presentations: that they meet; of two, every other participant begins with the second.
     """
@@ -77,8 +76,6 @@ class StimuliPart(Part):
 
     Attributes:
         presentation, condition: where they are met.
-        names: as in ``stimuli.csv``.
-        standard: that pairs are compared with.
         objects: of rendered ones a file for each name, in the experiment's folder.
         layout: what the experimenter is told when the condition begins, such as which plate to put under.
     """
@@ -131,8 +128,6 @@ class StaircasePart(Part):
         wrong: answers in a row that take it away.
         steps: places in the order of stimuli; the next one after each reversal, and the last from then on.
         up_ratio: how many times as far a step away is as one nearer (Kaernbach's weighted staircase).
-        reversals: that end a track.
-        max_trials: that end it too.
     """
 
     method: Literal["staircase"]
@@ -153,11 +148,7 @@ class StaircasePart(Part):
 
 
 class BayesianPart(Part):
-    """Pairs placed where the answer is expected to tell most; see `bayesian_placement.Placement`.
-
-    Attributes:
-        trials: of the block.
-    """
+    """Pairs placed where the answer is expected to tell most; see `bayesian_placement.Placement`."""
 
     method: Literal["bayesian"]
     trials: Annotated[int, Field(ge=1, le=400)]
@@ -177,10 +168,6 @@ class ExperimentFile(Part):
     """The whole file.
 
     Attributes:
-        name: of the experiment.
-        seed: of everything that is drawn.
-        conditions: that every participant meets.
-        group: groups of participants.
         stimuli: a set for each presentation and condition.
         task: what is asked, in this order.
         handedness: whether ten activities are asked for, for a laterality quotient.
@@ -247,8 +234,6 @@ class ExperimentDesign:
 
     Attributes:
         folder: where it lies.
-        file: what ``experiment.toml`` says.
-        stimuli: of ``stimuli.csv``, by name.
         digests: SHA-256 of each part of the design, by file; of the two tables what they say, so that a
             comment may change.
     """
@@ -265,13 +250,7 @@ class ExperimentDesign:
 
 @parser("experiment", InputError)
 def read_design(folder: Path) -> ExperimentDesign:
-    """Read an experiment's folder, and check all of it.
-
-    Raises:
-        InputError: there is none, or a field that is not one, or parts that do not fit each other.
-        LabelError: the table of stimuli is damaged.
-        StorageError: it cannot be read.
-    """
+    """Read an experiment's folder, and check all of it."""
     path = folder / EXPERIMENT
     if not path.is_file():
         raise InputError(f"{folder} has no {EXPERIMENT}; `palpate experiment new` makes a folder with one")

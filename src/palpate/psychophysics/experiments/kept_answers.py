@@ -34,8 +34,6 @@ class KeptAnswers:
     """What a folder keeps.
 
     Attributes:
-        judgements: of all whose consent stands.
-        stimuli: by name.
         unanswered: a line for each row without an answer.
         withdrawn: codes of participants with answers whose consent does not stand; these are left out.
         simulated: whether nobody answered, or nothing could be felt, in any of it.
@@ -54,11 +52,6 @@ def read_kept_answers(folder: Path) -> KeptAnswers:
     Args:
         folder: of an experiment, its rehearsal, a participant or an export; or with ``stimuli.csv`` and
             ``responses.csv``, there or in a folder of each participant.
-
-    Raises:
-        InputError: the design was changed since a participant began; which file it is.
-        LabelError: there is no such table, or one that is damaged, or in a folder where it does not belong.
-        StorageError: it cannot be read.
     """
     if not folder.is_dir():
         raise LabelError(f"{folder} is no folder; give the one of {STIMULI} and the participants' answers")

@@ -43,9 +43,6 @@ def laterality_quotient(marks: Sequence[str]) -> float:
 
     Returns:
         It; NaN where no hand has a mark.
-
-    Raises:
-        InputError: another mark, or not ten.
     """
     if len(marks) != len(ACTIVITIES) or not set(marks) <= set(MARKS):
         allowed = ", ".join(one for one in MARKS if one)
@@ -55,12 +52,7 @@ def laterality_quotient(marks: Sequence[str]) -> float:
 
 
 def checked_age(text: str, asked: str) -> str:
-    """An age as it may be kept: nothing, a number of years, or a band such as 20-29 or 60+.
-
-    Raises:
-        InputError: the other of the two, or neither.
-        RangeError: no age of a person.
-    """
+    """An age as it may be kept: nothing, a number of years, or a band such as 20-29 or 60+."""
     if not text:
         return ""
     if asked == "years" and text.isascii() and text.isdigit():
@@ -77,11 +69,7 @@ def checked_age(text: str, asked: str) -> str:
 
 
 def checked_participant(code: str) -> str:
-    """A code that a new participant may have: one of `checked_code` with a digit, so that it is no name.
-
-    Raises:
-        InputError: it is none.
-    """
+    """A code that a new participant may have: one of `checked_code` with a digit, so that it is no name."""
     checked_code(code, "participant")
     if code.lower().startswith("sub-"):
         raise InputError(
@@ -106,17 +94,12 @@ class ParticipantRecord:
     """What is kept of a participant.
 
     Attributes:
-        participant: code.
         consent: "yes" or "no"; "simulated" where there is no person.
         number: in the order in which they came, from 1; 0 without consent.
-        group: that they are in.
         laterality_quotient: -100 left to 100 right, or None.
         age: whole years or a band, or "".
         simulated: whether answers or display are not real.
-        seed: of the design.
         design: digest of each of its files.
-        schedule: digest of the schedule.
-        version: of palpate.
     """
 
     participant: str
@@ -139,12 +122,7 @@ class ParticipantRecord:
     @classmethod
     @parser("participant record", InputError)
     def read(cls, folder: Path) -> ParticipantRecord:
-        """Read it from a participant's folder.
-
-        Raises:
-            LabelError: it is damaged or missing.
-            StorageError: it cannot be read.
-        """
+        """Read it from a participant's folder."""
         path = folder / PARTICIPANT
         with storage_errors(path):
             if folder.is_dir() and not path.exists():

@@ -45,13 +45,7 @@ class ResponseLog(Closing):
         fsync: that puts a file on disk; another one in tests.
 
     Attributes:
-        judgements: in the table so far.
         torn: bytes that an interrupted row had left, and that were taken off.
-
-    Raises:
-        RecordingError: another holds it.
-        LabelError: it is damaged.
-        StorageError: it cannot be opened.
     """
 
     def __init__(self, folder: Path, simulated: bool, fsync: Callable[[int], None] = os.fsync) -> None:
@@ -72,13 +66,7 @@ class ResponseLog(Closing):
             raise
 
     def append(self, judgement: Judgement) -> None:
-        """Put a judgement on disk; when this returns no kill can take it away.
-
-        Raises:
-            StorageError: the disk is full or refuses. The table is then as it was before, and the same
-                judgement can be appended again.
-            LabelError: somebody else has changed the table meanwhile.
-        """
+        """Put a judgement on disk; when this returns no kill can take it away."""
         line, handle = response_lines([judgement], self._simulated).encode(), self._file.fileno()
         with storage_errors(self._path):
             if os.fstat(handle).st_size != self._size:

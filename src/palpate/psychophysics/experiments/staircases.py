@@ -73,11 +73,9 @@ class StaircaseState:
 
     Attributes:
         place: of the next comparison; 0 is nearest to the standard.
-        trials: so far.
         reversals: places at which it turned.
         way: of the last step, -1 nearer, +1 away, 0 before the first.
         in_row: equal answers since the last step: right ones count up from 0, wrong ones down.
-        ended: whether it is over.
     """
 
     place: int
@@ -99,14 +97,7 @@ class StaircaseState:
 
 
 def begin_staircase(places: int) -> StaircaseState:
-    """The beginning of a track, at the comparison farthest from the standard.
-
-    Args:
-        places: how many comparisons there are.
-
-    Raises:
-        InputError: none.
-    """
+    """The beginning of a track, at the comparison farthest from the standard."""
     if places < 1:
         raise InputError(
             "a staircase without a comparison; put a stimulus on that side of the standard",
@@ -116,11 +107,7 @@ def begin_staircase(places: int) -> StaircaseState:
 
 
 def step_staircase(rule: StaircaseRule, places: int, state: StaircaseState, right: bool) -> StaircaseState:
-    """How a track stands after one more answer. At an end of the set it stays there, which is no reversal.
-
-    Raises:
-        InputError: it was over.
-    """
+    """How a track stands after one more answer. At an end of the set it stays there, which is no reversal."""
     if state.ended:
         raise InputError(
             f"an answer beyond the end of a staircase, at trial {state.trials + 1}; leave it out",

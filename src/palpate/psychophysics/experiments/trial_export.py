@@ -111,9 +111,7 @@ class ExportSummary:
     """What was exported.
 
     Attributes:
-        participants: BIDS labels.
         complete: labels of those who were asked all.
-        judgements: of all.
         simulated: whether nothing of it is a measurement.
     """
 
@@ -127,15 +125,8 @@ def export_trials(design: ExperimentDesign, out: Path, simulated: bool = False) 
     """Write all participants who consented into a new folder.
 
     Args:
-        design: of the experiment.
         out: folder to make; must not exist.
         simulated: those of rehearsals, in place of those who were measured.
-
-    Raises:
-        ExistsError: `out` exists.
-        InputError: nobody has been enrolled; or a design that was changed since; or two codes of one label.
-        LabelError: judgements that are not those that the schedule asks for.
-        StorageError: the disk refused; nothing is left then.
     """
     enrolled = [one for one in records(design, simulated) if one.consent in ("yes", "simulated")]
     if not enrolled:

@@ -73,7 +73,6 @@ def allocation(file: ExperimentFile, number: int) -> tuple[int, int]:
     """A participant's group, and their place in it, both counted from 0.
 
     Args:
-        file: the design.
         number: of the participant, from 1.
     """
     sizes = [group.participants for group in file.group]
@@ -149,12 +148,9 @@ class StaircaseBlock:
     """A block of staircases, one of each side in turn, in a drawn order.
 
     Attributes:
-        standard: that every comparison meets.
         sides: comparisons of each track, the nearest to the standard first.
         softer: of each track whether its comparisons are softer than the standard.
-        rule: of all tracks.
         turns: of each round the order of tracks.
-        standard_first: of each trial.
     """
 
     presentation: Presentation
@@ -201,14 +197,7 @@ class StaircaseBlock:
 
 @dataclass(frozen=True, slots=True)
 class BayesianBlock:
-    """A block whose comparisons are placed by what the answers so far leave open.
-
-    Attributes:
-        standard: that every comparison meets.
-        comparisons: that may be presented.
-        x: their softness minus the standard's [unit of the level].
-        standard_first: of each trial.
-    """
+    """A block whose comparisons are placed by what the answers so far leave open."""
 
     presentation: Presentation
     condition: Condition
@@ -258,7 +247,6 @@ class Schedule:
 
     Attributes:
         number: of the participant, from 1.
-        group: that they are in.
         blocks: in order.
     """
 
@@ -292,9 +280,6 @@ class Schedule:
 
         Returns:
             It; None where all is done.
-
-        Raises:
-            LabelError: a judgement that stands elsewhere in the schedule, twice in it, or nowhere.
         """
         i = 0
         for block in self.blocks:
@@ -342,9 +327,6 @@ def make_schedule(design: ExperimentDesign, number: int, simulated: bool = False
         number: of the participant, from 1, in the order in which they came.
         simulated: whether it is a rehearsal: of the same group and conditions as the participant of that
             number, but with trials drawn for itself, so that it tells nothing of theirs.
-
-    Raises:
-        InputError: a number below 1, or a task that the stimuli cannot carry.
     """
     if number < 1:
         raise InputError(f"participant number {number}; they count from 1")

@@ -34,8 +34,6 @@ class BenchState:
     """What the sensors of a bench say in one period.
 
     Attributes:
-        pushed_m, push_speed_m_s: of the tip.
-        arm_m, arm_speed_m_s: of the arm.
         force_n: of the display, from its measured pressure: p A and the sleeve's [N].
     """
 
@@ -62,9 +60,6 @@ class ArmServo:
 
     Attributes:
         mass_kg: m, that the arm moves, as it is believed [kg].
-        bandwidth_hz: w over 2 pi [Hz].
-        ratio: z, of damping.
-        floor_n_m: k0 [N/m].
         friction_n: Coulomb, of the arm, as it is believed [N].
     """
 
@@ -78,9 +73,6 @@ class ArmServo:
         """Force against the finger's press [N].
 
         Args:
-                mode: of the rendering.
-            now: the bench's state.
-            wanted: its references.
             touched: whether a finger presses; where none does, the arm goes to 0.
         """
         w = 2 * math.pi * self.bandwidth_hz

@@ -30,12 +30,9 @@ class BenchLimits:
         pressure_pa: by which the chamber may differ from what it is told, for `settle_s` [Pa].
         mean_pa, mean_share: by which it may differ in the mean over `mean_s`, beside a share of what it is
             told: presses of 5 Hz come to half of that on the virtual bench [Pa].
-        mean_s: [s].
         over_pa: by which it may be above that at all, for `over_s` [Pa].
-        settle_s, over_s: [s].
         frozen_s: after which readings that repeat themselves to the last digit are not believed [s].
         astray_m: by which the arm may miss its reference, for `astray_s` [m].
-        astray_s: [s].
         energy_j: that may come out of an object beyond what went in since first touch [J].
         step_n: greatest change of the arm's force from one period to the next [N].
     """
@@ -62,7 +59,6 @@ class BenchWatch:
     """Trips on what must stop a bench; one for each rendering.
 
     Args:
-        limits: to keep to.
         display: what the display states of itself; None where a plate is in its place.
         arm: what the arm states of itself.
     """
@@ -77,11 +73,7 @@ class BenchWatch:
         self.energy_j = 0.0
 
     def period(self, before_ns: int | None, now_ns: int) -> None:
-        """Trip on a period that came too late.
-
-        Raises:
-            Tripped: loop-late.
-        """
+        """Trip on a period that came too late."""
         if before_ns is not None and now_ns - before_ns > self._limits.late_s * NS_PER_S:
             raise Tripped(
                 Reason.LOOP_LATE,
@@ -90,11 +82,7 @@ class BenchWatch:
             )
 
     def samples(self, display: DisplaySample | None, arm: ArmSample, now_ns: int) -> None:
-        """Trip on samples that cannot be, are old, faulty or frozen.
-
-        Raises:
-            Tripped: display, push, arm or force-stale.
-        """
+        """Trip on samples that cannot be, are old, faulty or frozen."""
         if display is not None:
             self._display_sample(display, now_ns)
         self._plain(Reason.ARM, "arm", arm.fault, (arm.displacement_m, arm.velocity_m_s))
@@ -122,11 +110,7 @@ class BenchWatch:
                 )
 
     def command(self, pressure_pa: float, force_n: float, greatest_pa: float) -> None:
-        """Trip on references that are no numbers, or that no law gives.
-
-        Raises:
-            Tripped: reference.
-        """
+        """Trip on references that are no numbers, or that no law gives."""
         if not (math.isfinite(pressure_pa) and math.isfinite(force_n)):
             raise Tripped(
                 Reason.REFERENCE,
@@ -140,11 +124,7 @@ class BenchWatch:
             )
 
     def pressure(self, measured_pa: float, told_pa: float, now_ns: int) -> None:
-        """Trip on a chamber that does not hold what it was told: a stuck valve, a leak, no supply.
-
-        Raises:
-            Tripped: pressure.
-        """
+        """Trip on a chamber that does not hold what it was told: a stuck valve, a leak, no supply."""
         off, limits = measured_pa - told_pa, self._limits
         self._check_mean(abs(off), told_pa, now_ns)
         for name, where, within_s, allowed in (
@@ -180,14 +160,7 @@ class BenchWatch:
         """Trip on too much force or too fast a rise, and on energy that no elastic object gives.
 
         Args:
-            force_n: on the finger [N].
             speed_m_s: of the finger's surface, positive as it presses [m/s].
-            dt_s: since the last period [s].
-            time_ns: of the sample [ns].
-            touched: whether a finger presses.
-
-        Raises:
-            Tripped: force-limit, force-rate or energy.
         """
         self._force.check_size(abs(force_n))
         self._force.check_rate(time_ns, force_n)
@@ -200,11 +173,7 @@ class BenchWatch:
             )
 
     def arm_error(self, error_m: float, now_ns: int) -> None:
-        """Trip on an arm that does not follow.
-
-        Raises:
-            Tripped: arm.
-        """
+        """Trip on an arm that does not follow."""
         if self._lasts("astray", abs(error_m) > self._limits.astray_m, self._limits.astray_s, now_ns):
             raise Tripped(
                 Reason.ARM,

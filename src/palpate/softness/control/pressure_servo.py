@@ -34,13 +34,7 @@ from palpate.softness.display_parts import (
 
 @dataclass(frozen=True, slots=True)
 class ChamberState:
-    """What a servo knows in one period.
-
-    Attributes:
-        pressure_pa: gauge, measured [Pa].
-        pushed_m: of the tip [m].
-        speed_m_s: of it [m/s].
-    """
+    """What a servo knows in one period."""
 
     pressure_pa: float
     pushed_m: float
@@ -64,8 +58,6 @@ class PidServo:
 
     Attributes:
         gain_per_pa: opening for each pascal of error [1/Pa].
-        integral_s: time of the integral [s].
-        derivative_s: time of the derivative [s].
     """
 
     gain_per_pa: float = 1.6e-5
@@ -95,9 +87,7 @@ class FlowServo:
     """Feed-forward of the mass flow, by models of valve and gas, and a gain on what is left.
 
     Attributes:
-        shape: of the display.
         valve, chamber: as they are believed to be.
-        gain_per_s: k [1/s].
         lead_s: by which the flow is foreseen: the lag of spool, tube and one period [s].
         foresight_hz: bandwidth of the slope by which it is [Hz].
     """

@@ -20,7 +20,6 @@ class Curve:
     """Values at equal steps from 0, and their slope, joined by straight lines; held beyond both ends.
 
     Attributes:
-        step: between two of them.
         values: at 0, step, 2 step, ...
     """
 
@@ -44,7 +43,6 @@ class Reference:
     Attributes:
         pressure_pa, pressure_slope: of the chamber, and over the push [Pa], [Pa/m].
         force_n, force_slope: that the display then gives, and over the push [N], [N/m].
-        area_m2: contact area [m^2].
         object_n, object_slope: force of the object at the whole displacement, and over it [N], [N/m].
     """
 
@@ -67,10 +65,6 @@ class ReferenceTable:
 
     Args:
         law: of an object; in CM2 a plate is in the display's place, and nothing is asked of it.
-
-    Attributes:
-        law: the same.
-        height_m: of the display [m].
     """
 
     def __init__(self, law: RenderingLaw) -> None:

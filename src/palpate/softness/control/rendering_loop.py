@@ -44,14 +44,9 @@ class LoopSample:
     """What one period measured and told.
 
     Attributes:
-        time_s: since the loop began [s].
-        pushed_m, arm_m: of display and arm [m].
         pressure_pa, told_pa: of the chamber, measured and told [Pa].
         force_n: on the finger, from the measured pressure [N].
-        area_m2: contact area [m^2].
-        arm_force_n: told to the arm [N].
         error_m: by which the arm missed its reference [m].
-        touched: whether a finger presses.
     """
 
     time_s: float
@@ -76,17 +71,11 @@ class RenderingLoop:
 
     Args:
         display: the display; None in CM2, where a rigid plate is in its place.
-        arm: the arm.
-        table: references of the object.
-        clock: that the devices stamp on.
-        limits: to keep to.
-        servo: of the arm.
         control: through which the operator stops; any command of it ends in the safe state.
         damping_n_s_m: of the display's tip, as believed, taken off by pressure [N s/m].
 
     Attributes:
         safe: why the devices were made safe; empty while it renders.
-        last: the last period.
     """
 
     def __init__(
@@ -110,11 +99,7 @@ class RenderingLoop:
         self.last: LoopSample | None = None
 
     def show(self, table: ReferenceTable) -> None:
-        """Turn into another object, over `CHANGE_S`; from any thread.
-
-        Raises:
-            SafetyError: it is of another display, mode or bounds.
-        """
+        """Turn into another object, over `CHANGE_S`; from any thread."""
         now, then = self._table.law, table.law
         if (then.mode, then.display, then.bounds) != (now.mode, now.display, now.bounds):
             raise SafetyError(
@@ -127,13 +112,7 @@ class RenderingLoop:
             self._next, self._changed_ns = table, self._clock.now_ns()
 
     def tick(self) -> LoopSample:
-        """One period.
-
-        Raises:
-            Tripped: what must stop it; both devices are safe.
-            OperatorInterrupt: the operator's wish; both devices are safe.
-            SafetyError: it was made safe before.
-        """
+        """One period."""
         if self.safe:
             raise SafetyError(f"this rendering has ended: {self.safe}; begin another")
         try:

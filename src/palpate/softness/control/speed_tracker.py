@@ -14,9 +14,6 @@ class SpeedTracker:
     beta = (1 - q)^2 and q = exp(-2 pi f dt): a ramp is followed without error.
 
     Reference: P. R. Kalata, IEEE Trans. Aerosp. Electron. Syst. 20 (1984) 174, doi:10.1109/TAES.1984.310438.
-
-    Attributes:
-        bandwidth_hz: f [Hz].
     """
 
     bandwidth_hz: float = 200.0

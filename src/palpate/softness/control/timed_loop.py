@@ -71,13 +71,9 @@ def run_paced(
     that is half a period away.
 
     Args:
-        tick: called once in a period.
         seconds: for how long [s].
         heard: told of each when it began and how long it took [s].
         goes_on: asked before each; False ends it.
-
-    Raises:
-        Exception: whatever `tick` raises, at once.
     """
     if not 0 < seconds <= MAX_S:
         raise RangeError(
@@ -99,10 +95,7 @@ class Pace:
     """Counts periods as they come, for whoever looks on.
 
     Attributes:
-        periods: how many there were.
         late: how many of them were longer than `LATE_S`.
-        longest_s: longest [s].
-        latest_s: when the last one began [s, by the performance counter].
     """
 
     def __init__(self) -> None:
@@ -112,7 +105,6 @@ class Pace:
         self._first = True
 
     def heard(self, began_s: float, work_s: float) -> None:
-        """Count one; see `run_paced`."""
         if not self._first:
             period = began_s - self.latest_s
             self.periods += 1

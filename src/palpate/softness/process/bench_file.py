@@ -148,8 +148,6 @@ class BenchFile(Part):
     Attributes:
         name: of the bench, by default its file's; whoever stops it by name gives this.
         display, arm: the devices; both are left out of a virtual bench.
-        cone: of the display.
-        limits: of the rendering.
     """
 
     name: Annotated[str, Field(min_length=1, max_length=80)] = "virtual softness bench"
@@ -182,10 +180,6 @@ def read_bench(path: Path | None) -> BenchFile:
 
     Args:
         path: of the file; None for the virtual bench.
-
-    Raises:
-        InputError: there is none; or a field that is not one, or out of range; or no such driver.
-        StorageError: it cannot be read.
     """
     if path is None:
         return BenchFile()
@@ -214,11 +208,6 @@ class OpenedBench:
 
     Attributes:
         display: None where a plate is in its place.
-        arm: that carries either.
-        cone: the display's shape.
-        bounds: of both.
-        damping_n_s_m: of the display's tip [N s/m].
-        simulated: whether nothing is real.
     """
 
     display: SoftnessDevice | None
@@ -233,11 +222,6 @@ def open_real_bench(file: BenchFile, mode: Mode, clock: Clock, opened: ExitStack
     """Open the devices that a file names; each is closed, and so vented or braking, with the stack.
 
     In CM2 a display is not opened: a rigid plate has to be in its place.
-
-    Raises:
-        SafetyError: the mode needs a display, and there is none.
-        DeviceError: a device is missing, busy or refuses.
-        PluginError: a driver does not keep its protocol.
     """
     if file.display is None and mode is not Mode.KINESTHETIC:
         raise SafetyError(

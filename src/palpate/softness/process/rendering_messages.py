@@ -33,14 +33,8 @@ class RenderingStatus:
     """How a rendering stands.
 
     Attributes:
-        state: "opens", "renders" or "ended".
         why: it ended; empty while it has not.
-        object: name of what is rendered.
-        mode: in which.
-        periods: of the loop so far.
         late_share: share of them longer than 1.5 ms.
-        longest_s: longest of them [s].
-        simulated: whether no device is real.
         wished: whether it ended because somebody wished it.
     """
 
@@ -105,11 +99,7 @@ class ObjectPieces:
         self._columns: dict[str, list[float]] = {}
 
     def take(self, message: Mapping[str, Any]) -> None:
-        """One more piece.
-
-        Raises:
-            ProtocolError: it is of no curve, or there are too many.
-        """
+        """One more piece."""
         name = str(message.get("column"))
         if name not in COLUMNS:
             raise ProtocolError(f"a piece of {name!r}; an object has {', '.join(COLUMNS)}")
@@ -119,11 +109,7 @@ class ObjectPieces:
             raise ProtocolError(f"a curve of more than {MAX_POINTS} points")
 
     def whole(self, message: Mapping[str, Any]) -> SoftObject:
-        """The object, by its last piece; what comes then is another's.
-
-        Raises:
-            InputError: its curves do not rise, or are empty.
-        """
+        """The object, by its last piece; what comes then is another's."""
         columns, self._columns = self._columns, {}
         area_x, area_force, x, force = (np.array(columns.get(name, []), float) for name in COLUMNS)
         return SoftObject(

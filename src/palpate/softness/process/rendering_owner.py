@@ -50,9 +50,6 @@ class RenderingOwner:
 
     Args:
         bench: open; whoever opened it closes it.
-        law: to begin with.
-        limits: to keep to.
-        clock: that the devices stamp on.
         send: takes a message to the client, and never waits.
     """
 

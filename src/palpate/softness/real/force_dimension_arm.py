@@ -66,7 +66,6 @@ class ForceDimensionSpec:
         press_axis: axis of the device along which the finger presses, "x", "y" or "z".
         press_sign: 1 where the finger presses towards greater coordinates of that axis, -1 otherwise.
         zero_m: x, y, z of the device where the finger touches first, on the guide [m].
-        least_m, greatest_m: displacement that it reaches [m].
         force_n: greatest force along the press, to either side; at most 20 N.
         effector_kg: mass of what it carries, the display with it; for its weight [kg].
         serial: number of the device; None for the first that is free.
@@ -75,14 +74,10 @@ class ForceDimensionSpec:
         guide_n_m: stiffness of the guide across the press; 0 for none [N/m].
         guide_ns_m: damping of the guide, by a velocity that is late. On the fake the defaults bring to a
             stand what weighs 0.1 to 1 kg in all; more of either lets what is light swing [N s/m].
-        guide_n: greatest force of the guide [N].
         aside_m: distance from the guide that is a fault [m].
         saturated_s: time for which its motors may not reach what is asked before that is a fault [s].
         frozen_s: time for which its position may be the same to the last bit, while it is asked to push with
             1 N and more, before that is a fault [s].
-
-    Raises:
-        RangeError: a number is out of its range.
     """
 
     press_axis: str
@@ -146,7 +141,6 @@ class ForceDimensionSpec:
 
         Args:
             aside_m: from the guide, along the two axes across the press [m].
-            drift_m_s: velocity along them [m/s].
         """
         u, v = (
             -self.guide_n_m * at - self.guide_ns_m * speed
@@ -168,10 +162,6 @@ class ForceDimensionArm(Closing):
         spec: how it stands and what it may do.
         clock: that its samples are stamped on.
         library: the module forcedimension_core, or what stands in for it; imported where it is left out.
-
-    Raises:
-        MissingExtraError: the library, or the maker's that it needs, is not installed.
-        DeviceError: there is no arm, it is not calibrated, or it did not take a limit.
     """
 
     def __init__(self, spec: ForceDimensionSpec, clock: Clock | None = None, library: Any = None) -> None:
@@ -199,16 +189,10 @@ class ForceDimensionArm(Closing):
 
     @property
     def range(self) -> ArmRange:
-        """Its reach, force and watchdog. See `palpate.core.HapticArm`."""
         spec = self._spec
         return ArmRange(spec.least_m, spec.greatest_m, spec.force_n, spec.ticks * TICK_S)
 
     def latest(self) -> ArmSample:
-        """Its state now. See `palpate.core.HapticArm`.
-
-        Raises:
-            DeviceError: a call failed or a place is no number; it was told to brake.
-        """
         self._check_open()
         place_m, velocity_m_s = self._motion()
         time_ns = self._clock.now_ns()
@@ -222,12 +206,6 @@ class ForceDimensionArm(Closing):
         )
 
     def set_force(self, force_n: float) -> None:
-        """Push with a force against the press, and hold to the guide. See `palpate.core.HapticArm`.
-
-        Raises:
-            RangeError: more than its greatest, or what is no number; nothing is changed.
-            DeviceError: a call failed and it was told to brake, or it brakes.
-        """
         if not abs(force_n) <= self._spec.force_n:
             raise RangeError(
                 f"a force of {force_n} N; give -{self._spec.force_n:g} to {self._spec.force_n:g} N",
@@ -252,11 +230,7 @@ class ForceDimensionArm(Closing):
         self._check_takes_force()
 
     def brake(self) -> None:
-        """Drop the force and brake, until `release`. Safe at any time and from any thread.
-
-        Raises:
-            DeviceError: it did not take it; the watchdog then drops the force once none comes.
-        """
+        """Drop the force and brake, until `release`. Safe at any time and from any thread."""
         self._halts += 1
         self._braked = True  # before the call: no force is sent any more, also where it fails
         self._check_open()
@@ -269,11 +243,7 @@ class ForceDimensionArm(Closing):
             )
 
     def release(self) -> None:
-        """Let it take forces again, and push with none beside its weight and the guide.
-
-        Raises:
-            DeviceError: it does not answer, was told to brake meanwhile, or does not go into its force mode.
-        """
+        """Let it take forces again, and push with none beside its weight and the guide."""
         self._check_open()
         halts = self._halts
         self._fault, self._still = "", None
@@ -289,11 +259,7 @@ class ForceDimensionArm(Closing):
         self.set_force(0.0)
 
     def close(self) -> None:
-        """Brake, and let go of the arm. Closing again does nothing.
-
-        Raises:
-            DeviceError: it did not take the brake; it was let go nevertheless.
-        """
+        """Brake, and let go of the arm. Closing again does nothing."""
         if self._closed:
             return
         try:

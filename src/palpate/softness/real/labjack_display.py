@@ -54,7 +54,6 @@ class LabJackSettings:
     """Settings of a display and of how it is wired.
 
     Attributes:
-        host: address of the board.
         hall: calibration of the displacement's sensor, measured on this display.
         setpoint: scale of the regulator, in volts at the terminal DAC0, before any amplifier.
         monitor: scale of the pressure's sensor, in volts at its input.
@@ -66,8 +65,6 @@ class LabJackSettings:
         heartbeat_dio: digital line that changes while new pressures come; None without a timer in hardware.
         hardware_vent_s: time after the line's last change in which that timer opens the vent, as measured on
             this display [s].
-        timeout_s: for one answer [s].
-        port, unit: of the board.
     """
 
     host: str
@@ -178,11 +175,7 @@ class LabJackDisplay(Closing):
         """Connect, set 0 V, and set and start the board's watchdog.
 
         Args:
-            settings: the display and its wiring.
             clock: of the samples; left out, this computer's.
-
-        Raises:
-            DeviceError: it does not answer, is another board, or does not keep the watchdog's settings.
         """
         self._settings, self._clock = settings, clock or MonotonicClock()
         self._state, self._setting = RLock(), Lock()  # a signal's handler may vent in between
@@ -210,11 +203,7 @@ class LabJackDisplay(Closing):
         return self._settings.range
 
     def latest(self) -> DisplaySample:
-        """Its state now, dated in the middle of the exchange.
-
-        Raises:
-            DeviceError: it does not answer; it is vented then, if it can be.
-        """
+        """Its state now, dated in the middle of the exchange."""
         self._refuse_closed()
         asked_ns = self._clock.now_ns()
         try:
@@ -231,10 +220,6 @@ class LabJackDisplay(Closing):
         Args:
             pressure_pa: of the chamber, from 0 to the greatest [Pa].
             rate_pa_s: not used: the regulator takes none [Pa/s].
-
-        Raises:
-            RangeError: a pressure outside the range, or what is no number; nothing is changed.
-            DeviceError: it does not answer, has been vented and not released, or by the watchdog.
         """
         if not (0 <= pressure_pa <= self._settings.greatest_pa and math.isfinite(rate_pa_s)):
             raise RangeError(
@@ -262,9 +247,6 @@ class LabJackDisplay(Closing):
 
         Safe at any time and from any thread. It waits for no reading; for a pressure that is on its way at
         most as long as that may take, and it has sent 0 V before and sends it again after.
-
-        Raises:
-            DeviceError: it could not be told by either connection. The watchdog vents then.
         """
         self._latch("it was vented")
         if self._closed.is_set():
@@ -279,11 +261,7 @@ class LabJackDisplay(Closing):
             self._tell_to_vent()
 
     def release(self) -> None:
-        """Let it hold pressure again after `vent`; the board is checked as when it was opened.
-
-        Raises:
-            DeviceError: it does not answer, is not as it was, or was vented again meanwhile.
-        """
+        """Let it hold pressure again after `vent`; the board is checked as when it was opened."""
         with self._setting:
             self._refuse_closed()
             with self._state:
@@ -295,11 +273,7 @@ class LabJackDisplay(Closing):
                 self._why = ""
 
     def close(self) -> None:
-        """Vent, and let go of the board, whose watchdog goes on. Closing again does nothing.
-
-        Raises:
-            DeviceError: it could not be vented; the connections are closed nevertheless.
-        """
+        """Vent, and let go of the board, whose watchdog goes on. Closing again does nothing."""
         if self._closed.is_set():
             return
         try:

@@ -57,14 +57,9 @@ class ModbusTcp(Closing):
         """Connect.
 
         Args:
-            host: its name or address.
             port: where it listens.
             unit: number of the unit behind it, of 0 to 255.
             timeout_s: for connecting, and for every exchange, a new connection included [s].
-
-        Raises:
-            RangeError: an argument that cannot be.
-            DeviceError: nobody answers there.
         """
         if not (0 < timeout_s < math.inf and 0 <= unit <= 255 and 0 < port < 65536):
             raise RangeError(
@@ -85,22 +80,13 @@ class ModbusTcp(Closing):
             self._connect(time.monotonic() + timeout_s)
 
     def read(self, address: int, registers: int) -> bytes:
-        """The bytes of so many registers, two each, the most significant first.
-
-        Raises:
-            DeviceError: no right answer came in time, or the device refuses (`ModbusError`).
-        """
+        """The bytes of so many registers, two each, the most significant first."""
         _check(address, registers)
         head = bytes([READ, 2 * registers])
         return self._exchange(struct.pack(">BHH", READ, address, registers), head, 2 * registers)
 
     def write(self, address: int, data: bytes) -> None:
-        """Write registers, two bytes each, and wait until the device says that it has.
-
-        Raises:
-            DeviceError: no right answer came in time: the registers may be written or not. Or the device
-                refuses (`ModbusError`).
-        """
+        """Write registers, two bytes each, and wait until the device says that it has."""
         registers = len(data) // 2
         _check(address, registers if 2 * registers == len(data) else 0)
         head = struct.pack(">BHH", WRITE, address, registers)

@@ -64,11 +64,7 @@ class HallTable:
             raise RangeError(f"a tolerance of {self.tolerance_mm} mm; give 0 mm or more")
 
     def pushed_m(self, volts: float) -> float:
-        """Displacement of the tip at a voltage [m].
-
-        Raises:
-            OffScaleError: further beyond the table or below 0 than the tolerance, or no number.
-        """
+        """Displacement of the tip at a voltage [m]."""
         v, d = self.volts, self.pushed_mm
         passed = sum((volts - each) * (v[-1] - v[0]) > 0 for each in v)
         i = max(1, min(passed, len(v) - 1))  # end of the segment, or of the nearest one
@@ -88,7 +84,6 @@ class PressureScale:
     Attributes:
         low_v: at 0 Pa [V].
         high_v: at the greatest pressure [V].
-        high_pa: that pressure [Pa].
         tolerance_pa: by which a reading may lie beyond both ends [Pa].
 
     Example:
@@ -115,11 +110,7 @@ class PressureScale:
         return self.low_v + (self.high_v - self.low_v) * pressure_pa / self.high_pa
 
     def pressure_pa(self, volts: float) -> float:
-        """Gauge pressure at a voltage [Pa].
-
-        Raises:
-            OffScaleError: further beyond the scale than the tolerance, or no number.
-        """
+        """Gauge pressure at a voltage [Pa]."""
         pressure_pa = (volts - self.low_v) / (self.high_v - self.low_v) * self.high_pa
         if not -self.tolerance_pa <= pressure_pa <= self.high_pa + self.tolerance_pa:
             raise OffScaleError(

@@ -81,13 +81,9 @@ def judged(transmissions: Sequence[Transmission], noise: CueNoise) -> dict[str, 
 
     Args:
         transmissions: two or more; put in order by what they are, or else by what was read.
-        noise: of the observer.
 
     Returns:
         By stage; without ``true`` where an object is not known.
-
-    Raises:
-        InputError: fewer than two objects, or two of one name.
     """
     known = all(one.true_flat_pa is not None for one in transmissions)
     transmissions = sorted(

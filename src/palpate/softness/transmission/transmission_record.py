@@ -34,8 +34,6 @@ def transmissions_record(
 
     Args:
         found: at one force.
-        judgements: of them, by stage.
-        noise: of the observer.
         finger: on a rigid flat, and `words` that name it.
     """
     return {
@@ -111,9 +109,6 @@ def felt_live(one: Transmission, seconds: float) -> dict[str, Any]:
     Returns:
         What the bench's own sensors say: periods, share of late ones, greatest force, and how far force is
         from the object's at the displacement felt, as a share of the peak.
-
-    Raises:
-        SafetyError: the rendering ended by itself.
     """
     if not 0 < seconds <= MAX_LIVE_S:
         raise RangeError(

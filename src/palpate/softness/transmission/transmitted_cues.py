@@ -53,7 +53,6 @@ class CueTransmission:
     """One cue along the stages, as chords [N/m of displacement, Pa of area].
 
     Attributes:
-        touched: of the object as read.
         felt: of what the finger feels at the middle frequency.
         way_in, way_out: factors of force felt over force due as the finger goes in, and as it comes back.
         drawn: of what it would feel, by draws of the reading and of the frequency.
@@ -107,11 +106,7 @@ class Transmission:
     """An object along the stages.
 
     Attributes:
-        name: of the object.
-        touched: as it was read.
         peak_n: force at the end of a press [N].
-        cues: by name.
-        rendering: of the object as read.
         object: the true one under the finger; None unknown.
         inside: share of a press that the display can render as it is.
         true_flat_pa: true modulus over 1 - nu^2; None unknown [Pa].
@@ -134,11 +129,7 @@ class Transmission:
 
 
 def object_under(finger: Fingertip, flat_pa: float, peak_n: float, name: str = "flat") -> SoftObject:
-    """Both curves of a thick flat under a finger, to a force.
-
-    Raises:
-        RangeError: a force beyond what is known of the finger there.
-    """
+    """Both curves of a thick flat under a finger, to a force."""
     return fingertip_object(name, on_flat(finger, flat_pa), peak_n)
 
 
@@ -162,19 +153,12 @@ def transmit(
     """Render an object that was touched, and say what of it reaches the finger.
 
     Args:
-        name: of the object.
-        touched: as it was read.
         finger: that feels it, on a rigid flat.
         peak_n: force at the end of a press, alike for all objects that are compared [N].
         true_flat_pa: its true modulus over 1 - nu^2, where it is known [Pa].
         frequency_hz: at which the virtual finger presses, or up to 2.2 times slower or faster [Hz].
         seed: of the reading's draws and the bench's noise.
-        draws: of the reading.
         progress: called with how many renderings are done.
-
-    Raises:
-        RangeError: a force beyond what is known of the finger, or an object that the display cannot render.
-        InputError: too few draws.
     """
     if not MIN_PEAK_N <= peak_n < np.inf:
         raise RangeError(
@@ -242,12 +226,7 @@ def felt_factor(felt: Rendering, cue: str, way: int = 0) -> float:
     Over the part of the presses that can be rendered as it is.
 
     Args:
-        felt: presses.
-        cue: ``displacement`` or ``area``.
         way: 1 for the way in alone, -1 for the way back, 0 for both.
-
-    Raises:
-        RangeError: that is too little of them.
     """
     inside = felt.inside
     if inside.sum() < MIN_INSIDE * felt.scored.sum():

@@ -144,7 +144,6 @@ def advance(state, par, areas, volumes, meant, meant_speed, opening, force, dt):
 
     Args:
         state: `STATES` values [SI], pressure absolute.
-        par: `BenchFigures`.
         areas, volumes: of the display at equal steps of push from 0 to its height [m^2], [m^3].
         meant, meant_speed: where the finger is meant to be at each step [m], [m/s].
         opening: asked of the valve, -1 to 1.

@@ -48,8 +48,6 @@ def virtual_bench_test(
         parts: as they truly are; arm and finger give way to a clamp and a probe.
         stated: what the display is believed to be; by default a cone of the true shape's size, with the
             chamber's sleeve.
-        seed: of the sensors' noise.
-        progress: called with each pressure.
     """
     parts = parts or BenchParts()
     probe, clock = HeldProbe(), ManualClock()
@@ -67,10 +65,7 @@ def virtual_pressure_response(
     """How fast a servo's pressure follows on the virtual bench, tip held half way, at accelerated time.
 
     Args:
-        servo: of the valve.
-        amplitude_pa: of the sines [Pa].
         parts: as they truly are; arm and finger give way to a clamp and a probe.
-        seed: of the sensors' noise.
     """
     parts = parts or BenchParts()
     probe, clock = HeldProbe(), ManualClock()

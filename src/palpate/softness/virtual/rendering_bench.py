@@ -56,8 +56,6 @@ class BenchParts:
 
     Attributes:
         shape, valve, chamber, sensors: of the display.
-        arm: that carries it.
-        finger: that presses.
         greatest_pa: gauge pressure that the display states [Pa].
         plate: whether a rigid plate is in the display's place, as CM2 has it.
     """
@@ -77,12 +75,7 @@ class BenchTruth:
     """State of a bench, which no sensor sees so.
 
     Attributes:
-        time_s: since it began [s].
-        force_n: between finger and display [N].
-        pushed_m, area_m2: of the display's tip.
-        arm_m: displacement of the arm [m].
         pressure_pa: gauge pressure [Pa].
-        opening: of the valve's spool.
         finger_m: where the finger is [m].
         work_j: that the finger did on the display so far [J].
         largest_n: greatest force of all steps so far [N].
@@ -109,15 +102,8 @@ class RenderingBench:
     """A virtual bench.
 
     Args:
-        clock: that it follows.
         presses: of the finger, or of a probe.
-        parts: of which it is made.
         servo: of the display's pressure; by default one that believes the default parts.
-        seed: of the sensors' noise.
-        watchdog_s: of both devices [s].
-
-    Attributes:
-        display, arm: the two devices.
     """
 
     def __init__(
