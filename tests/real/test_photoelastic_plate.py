@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from PIL import Image
-from scipy.ndimage import gaussian_filter, gaussian_filter1d
+from scipy.ndimage import gaussian_filter
 from tests.oracles.cracked_strip import CrackedStrip
 from tests.refusals import refused
 
@@ -109,19 +109,6 @@ def test_the_whole_field_gives_c_to_a_tenth_and_without_a_rival(plate) -> None:
     assert not found.ambiguous
     assert found.rms < 0.4
     assert (found.slope_per_n - half) * C > 3.39e-11  # the authors' greatest
-
-
-def test_three_dark_loops_stand_at_one_to_three_orders_and_not_where_the_authors_c_puts_them(plate) -> None:
-    """At 100 kgf: the field at the dark loops is as 1 : 2 : 3, so counting starts at one."""
-    load, light, u = whole_field(plate, to_tip=1.2, step=0.15)
-    i = int(np.abs(load - 980.665).argmin())
-    bins = np.arange(0.4, 2.1, 0.02)
-    mean = gaussian_filter1d([light[i, np.abs(u - b) < 0.03, 0].mean() for b in bins], 1)
-    dark = bins[1:-1][(mean[1:-1] < mean[:-2]) & (mean[1:-1] <= mean[2:])]
-    loops = np.array([dark[np.abs(dark - n * 0.64).argmin()] for n in (1, 2, 3)])
-    np.testing.assert_allclose(loops / loops[0], [1, 2, 3], rtol=0.05)
-    by_authors = 3.24e-11 * load[i] / (SODIUM.wavelength_m * PLATE.breadth_m) * loops
-    assert np.abs(by_authors - np.rint(by_authors)).max() > 0.3  # no whole orders
 
 
 def test_yellow_light_is_refused_where_colours_are_asked_for(plate) -> None:

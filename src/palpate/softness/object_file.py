@@ -77,12 +77,7 @@ def is_object_file(path: Path) -> bool:
 
 
 def object_from(fields: Mapping[str, Any], name: str = "object", folder: Path = Path()) -> SoftObject:
-    """An object from the fields of its file; all that `read_object` raises.
-
-    Args:
-        name: where the file gives none.
-        folder: in which files that it names are looked for.
-    """
+    """Return an object from the fields of its file; `folder` resolves relative file names."""
     known = {"name", "source", *CURVES, *WHOLE, *UNDER}
     if extra := sorted(set(fields) - known):
         raise InputError(

@@ -280,9 +280,7 @@ CONDITIONS = conditions_of(ASSUMED)
 
 
 def compared(
-    names: Sequence[str] = tuple(CONDITIONS),
-    seeds: Sequence[int] = range(5),
-    base: TacTipSpec = ASSUMED,
+    names: Sequence[str] = tuple(CONDITIONS), seeds: Sequence[int] = range(5), base: TacTipSpec = ASSUMED
 ) -> tuple[Row, ...]:
     """Every cue of a sensor under every condition; about a second a trial."""
     conditions = conditions_of(base)

@@ -1,9 +1,4 @@
-"""Numbers of participants, planned by simulating the study that is to be made.
-
-Participants differ by an intercept, and in how much the conditions differ for them, both in logits; each
-answers so often in two conditions, and the study's own test, `sign_flip_p` of their differences, is applied.
-The power found has the interval of its simulations.
-"""
+"""Power and sample size by simulation of the planned study, tested by `sign_flip_p`."""
 
 from __future__ import annotations
 
@@ -25,14 +20,12 @@ NODES_OF_MEAN = 41
 
 @dataclass(frozen=True, slots=True)
 class PlannedStudy:
-    """A study of two conditions that has not been made.
+    """Planned study of two conditions.
 
     Attributes:
-        first, second: shares of right answers in the population, above 0 and below 1.
-        answers: of each participant in each condition.
-        effect_sd: how far participants' own differences between the conditions scatter [logits]; 0 is that
-            all differ by the same, which is seldom so and asks for too few.
-        significance: below which p counts.
+        first, second: population proportions correct, 0 to 1 exclusive.
+        answers: answers of each participant in each condition.
+        effect_sd: standard deviation of participants' effects [logit]; 0 underestimates the sample size.
     """
 
     first: float
@@ -55,12 +48,7 @@ class PlannedStudy:
 
 @dataclass(frozen=True, slots=True)
 class StudyPower:
-    """How often a planned study finds its difference.
-
-    Attributes:
-        power: share of simulated studies with a p below the significance.
-        low, high: 95 % interval of that share.
-    """
+    """Power of a planned study, with the 95 % interval of the simulation."""
 
     participants: int
     power: float

@@ -1,20 +1,10 @@
 """Experiments on softness: design in a file, who is asked what in which order, what is kept of it."""
 
-from palpate.psychophysics.experiments.experiment_file import (
-    ExperimentDesign,
-    ExperimentFile,
-    read_design,
-)
+from palpate.psychophysics.experiments.experiment_file import ExperimentDesign, ExperimentFile, read_design
 from palpate.psychophysics.experiments.experiment_presets import PRESETS, make_experiment
 from palpate.psychophysics.experiments.kept_answers import KeptAnswers, read_kept_answers
 from palpate.psychophysics.experiments.participant_record import ParticipantRecord, laterality_quotient
-from palpate.psychophysics.experiments.sitting import (
-    Enrolment,
-    Sitting,
-    enrol,
-    participant_folder,
-    records,
-)
+from palpate.psychophysics.experiments.sitting import Enrolment, Sitting, enrol, participant_folder, records
 from palpate.psychophysics.experiments.sitting_dialogue import (
     Answerer,
     SittingDesk,

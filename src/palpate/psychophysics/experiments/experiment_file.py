@@ -59,12 +59,7 @@ Name = Annotated[str, Field(min_length=1, max_length=80)]
 
 
 class GroupPart(Part):
-    """Participants who meet the same presentations.
-
-    Attributes:
-        participants: how many there shall be; whoever comes beyond all groups' sum begins the round again.
-        presentations: that they meet; of two, every other participant begins with the second.
-    """
+    """Participants who meet the same presentations; of two, every other one begins with the second."""
 
     name: Name
     participants: Count
@@ -72,12 +67,11 @@ class GroupPart(Part):
 
 
 class StimuliPart(Part):
-    """The stimuli of one presentation in one condition.
+    """Stimuli of one presentation in one condition.
 
     Attributes:
-        presentation, condition: where they are met.
-        objects: of rendered ones a file for each name, in the experiment's folder.
-        layout: what the experimenter is told when the condition begins, such as which plate to put under.
+        objects: object file of each rendered stimulus, in the folder of the experiment.
+        layout: instruction to the experimenter when the condition begins.
     """
 
     presentation: Presentation
@@ -120,15 +114,7 @@ class ConstantPart(Part):
 
 
 class StaircasePart(Part):
-    """Pairs by interleaved transformed up-down staircases; see `staircases.StaircaseRule`.
-
-    Attributes:
-        sides: of the standard that have a track of their own.
-        right: answers in a row that bring the comparison nearer to the standard.
-        wrong: answers in a row that take it away.
-        steps: places in the order of stimuli; the next one after each reversal, and the last from then on.
-        up_ratio: how many times as far a step away is as one nearer (Kaernbach's weighted staircase).
-    """
+    """Pairs by interleaved transformed up-down staircases on each side; see `staircases.StaircaseRule`."""
 
     method: Literal["staircase"]
     sides: Annotated[tuple[Literal["softer", "harder"], ...], Field(min_length=1)] = ("softer", "harder")
@@ -165,15 +151,8 @@ TaskPart = Annotated[ConstantPart | StaircasePart | BayesianPart | RankPart, Fie
 
 
 class ExperimentFile(Part):
-    """The whole file.
-
-    Attributes:
-        stimuli: a set for each presentation and condition.
-        task: what is asked, in this order.
-        handedness: whether ten activities are asked for, for a laterality quotient.
-        age: whether an age is asked for, as a number or as a band; an answer is never needed.
-        question: that the experimenter asks of a pair.
-        request: that the experimenter makes of a ranking.
+    """Contents of ``experiment.toml``; `question` and `request` are the experimenter's words for pairs and
+    rankings.
     """
 
     name: Name
@@ -230,13 +209,7 @@ def task_of(part: ConstantPart | StaircasePart | BayesianPart | RankPart) -> Tas
 
 @dataclass(frozen=True, slots=True)
 class ExperimentDesign:
-    """An experiment's folder, read and checked.
-
-    Attributes:
-        folder: where it lies.
-        digests: SHA-256 of each part of the design, by file; of the two tables what they say, so that a
-            comment may change.
-    """
+    """A validated experiment folder; `digests` are SHA-256 of the content of each file."""
 
     folder: Path
     file: ExperimentFile

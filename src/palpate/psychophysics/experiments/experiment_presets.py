@@ -43,13 +43,7 @@ age = "{age}"                # or "years", or "band"; nobody has to answer
 def make_experiment(
     folder: Path, preset: str, seed: int, moduli_kpa: Sequence[float] | None = None
 ) -> ExperimentDesign:
-    """Write a preset's folder.
-
-    Args:
-        seed: of everything that is drawn, 0 or more.
-        moduli_kpa: of the five silicones of ``bianchi-2010``, from 0 to 45 % of softener [kPa]; those of no
-            silicone in particular if left out, which the objects' files then say.
-    """
+    """Write the folder of a preset; `moduli_kpa` of ``bianchi-2010`` are for 0 to 45 % softener."""
     if preset not in PRESETS:
         raise InputError(f"preset {preset!r}; there are {', '.join(PRESETS)}", code="preset-unknown")
     if not 0 <= seed < 1 << 63:

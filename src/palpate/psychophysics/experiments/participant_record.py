@@ -36,13 +36,8 @@ LETTERS = "ABCDEFGHJKLMNPRTUVWXYZ"  # no I and O, which look like digits; no Q a
 
 
 def laterality_quotient(marks: Sequence[str]) -> float:
-    """Laterality quotient of ten activities, -100 left to 100 right.
-
-    Args:
-        marks: of each of `ACTIVITIES`: LL, L, B, R, RR, or nothing; see `MARKS`.
-
-    Returns:
-        It; NaN where no hand has a mark.
+    """Return the laterality quotient, -100 left to 100 right, of the `MARKS` of ten `ACTIVITIES`; NaN without
+    any.
     """
     if len(marks) != len(ACTIVITIES) or not set(marks) <= set(MARKS):
         allowed = ", ".join(one for one in MARKS if one)
@@ -91,15 +86,13 @@ def label_of(participant: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class ParticipantRecord:
-    """What is kept of a participant.
+    """Record of a participant.
 
     Attributes:
-        consent: "yes" or "no"; "simulated" where there is no person.
-        number: in the order in which they came, from 1; 0 without consent.
+        consent: "yes", "no", or "simulated".
+        number: order of enrollment, from 1; 0 without consent.
         laterality_quotient: -100 left to 100 right, or None.
-        age: whole years or a band, or "".
-        simulated: whether answers or display are not real.
-        design: digest of each of its files.
+        design: digest of each file of the design.
     """
 
     participant: str
@@ -165,11 +158,7 @@ Place = tuple[Presentation, Condition, str]
 
 
 def letter_codes(design: ExperimentDesign, number: int, simulated: bool = False) -> dict[Place, str]:
-    """A letter for each stimulus of each condition, drawn anew for each participant.
-
-    No letter is met twice by a participant, and none is the name of a stimulus. A rehearsal's are others than
-    those of the participant of its number, so that its key gives nothing away.
-    """
+    """Draw a letter for each stimulus and condition, unique for a participant and different in rehearsals."""
     names = {name.upper() for name in design.stimuli}
     sets: list[StimuliPart] = [design.file.set_of(*place) for place in design.file.places()]
     places = [(one.presentation, one.condition, name) for one in sets for name in one.names]

@@ -37,16 +37,7 @@ def response_lines(judgements: Iterable[Judgement], simulated: bool) -> str:
 
 
 class ResponseLog(Closing):
-    """A participant's table, open for one writer.
-
-    Args:
-        folder: of the participant, with a table that has its header.
-        simulated: whether the rows are marked so.
-        fsync: that puts a file on disk; another one in tests.
-
-    Attributes:
-        torn: bytes that an interrupted row had left, and that were taken off.
-    """
+    """A participant's response table, open for one writer; `torn` bytes of an incomplete row were removed."""
 
     def __init__(self, folder: Path, simulated: bool, fsync: Callable[[int], None] = os.fsync) -> None:
         self._path, self._simulated, self._fsync = folder / RESPONSES, simulated, fsync

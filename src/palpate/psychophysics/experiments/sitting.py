@@ -59,12 +59,8 @@ Now = Callable[[], str]
 
 @dataclass(frozen=True, slots=True)
 class Enrolment:
-    """What a participant has told before the first trial.
-
-    Attributes:
-        laterality_quotient: -100 left to 100 right, NaN where it was not asked or nothing was told.
-        age: whole years or a band, or "".
-        simulated: that there is no participant, or no display that could be felt.
+    """Information of a participant before the first trial; `laterality_quotient` is -100 left to 100 right or
+    NaN.
     """
 
     consent: bool
@@ -98,9 +94,7 @@ def participant_folder(design: ExperimentDesign, participant: str, simulated: bo
 
 
 def enrol(design: ExperimentDesign, participant: str, told: Enrolment) -> ParticipantRecord:
-    """Give a participant a number, and make their folder; without consent there is neither
-    number nor trial.
-    """
+    """Enroll a participant: number and folder; without consent, a record alone."""
     folder = participant_folder(design, participant, told.simulated)
     quotient = None if math.isnan(told.laterality_quotient) else told.laterality_quotient
     with _enrolling(design):
@@ -128,11 +122,7 @@ def enrol(design: ExperimentDesign, participant: str, told: Enrolment) -> Partic
 
 
 def records(design: ExperimentDesign, simulated: bool = False) -> list[ParticipantRecord]:
-    """Records of all participants, those without consent among them, in the order of their codes.
-
-    Args:
-        simulated: those who are, in place of those who are not.
-    """
+    """Return the records of all measured (or all simulated) participants, sorted by code."""
     home = home_of(design, simulated)
     with storage_errors(home):
         kept = [path for name in (PARTICIPANT, RESPONSES) for path in home.glob(f"{PREFIX}*/{name}")]
@@ -160,16 +150,7 @@ def _enrolling(design: ExperimentDesign) -> BinaryIO:
 
 
 class Sitting(Closing):
-    """A participant before the next trial.
-
-    Args:
-        now: time of day in ISO 8601.
-
-    Attributes:
-        codes: a letter for each presentation, condition and stimulus.
-        next: the trial that comes; None when all is done.
-        torn: bytes of an answer that was not kept whole, and so is asked again.
-    """
+    """Session state of a participant; `next` is None when all is answered, `now` gives ISO 8601 times."""
 
     def __init__(self, design: ExperimentDesign, participant: str, now: Now, simulated: bool = False) -> None:
         folder = participant_folder(design, participant, simulated)
@@ -207,12 +188,7 @@ class Sitting(Closing):
         return tuple(self._log.judgements)
 
     def take(self, answer: tuple[str, ...], seconds: float) -> Judgement:
-        """Keep the answer to the next trial, on disk, and go on to the one after it.
-
-        Args:
-            answer: names of stimuli, as of a judgement.
-            seconds: since it was presented [s].
-        """
+        """Store the answer (names of stimuli) to the next trial on disk, and advance."""
         if self.next is None:
             raise InputError(
                 f"participant {self.record.participant} has answered all; there is no next trial"
@@ -249,11 +225,7 @@ class Sitting(Closing):
 
 
 def check_begun_by(record: ParticipantRecord, digests: Mapping[str, str], where: Path) -> None:
-    """Refuse a design that is not the one that a participant began with.
-
-    Args:
-        digests: of each of the design's files, as it is now.
-    """
+    """Reject a design whose file digests differ from those with which the participant began."""
     begun = record.design or {}
     changed = [one for one in sorted({*begun, *digests}) if begun.get(one) != digests.get(one)]
     if changed:

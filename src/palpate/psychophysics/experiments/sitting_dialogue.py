@@ -87,12 +87,7 @@ class UnrenderedStimuli:
 
 @dataclass(frozen=True, slots=True)
 class SittingOutcome:
-    """How a sitting ended.
-
-    Attributes:
-        kept: judgements on disk, of all sittings.
-        fault: that nobody could mend; None of a pause that was wished.
-    """
+    """Outcome of a session: judgments on disk, and the fault that ended it, if any."""
 
     complete: bool
     kept: int
@@ -152,12 +147,8 @@ def _until(desk: SittingDesk, prompt: str, read: Callable[[str], str]) -> str:
 
 
 class SittingDialogue:
-    """Asks trial after trial, and keeps each answer at once.
-
-    Args:
-        presenter: of rendered stimuli; None where there are direct ones alone.
-        answerer: that answers in place of a participant; then nothing is asked at the desk but what to do on
-            a fault.
+    """Dialogue of a session; an `answerer` replaces the participant, no `presenter` is needed for direct
+    stimuli.
     """
 
     def __init__(
@@ -332,11 +323,8 @@ class SittingDialogue:
 
 
 def noisy_answers(design: ExperimentDesign, participant: str, noise: float) -> Answerer:
-    """A simulated observer, who perceives softness with Gaussian noise, of each stimulus in each trial anew.
-
-    Args:
-        participant: code; with the design's seed it makes the draws.
-        noise: standard deviation [unit of the levels], 0 or more.
+    """Return an observer with Gaussian noise [unit of the level], seeded by the design and
+    the participant.
     """
     if not 0 <= noise < math.inf:
         raise RangeError(f"a noise of {noise}; 0 or more, in the unit of the levels, is allowed")
@@ -374,14 +362,7 @@ def _wished(text: str, count: int) -> int | None:
 
 
 def read_answer(text: str, trial: PlannedTrial, codes: Sequence[str]) -> tuple[str, ...]:
-    """An answer as it was typed: by places, 1 2 3, or by letters; letters of a ranking may stand together.
-
-    Args:
-        codes: letters of what was presented, in its order.
-
-    Returns:
-        Names of stimuli, as of a judgement.
-    """
+    """Parse an answer given as positions (1 2 3) or letters into names of stimuli."""
     words = text.upper().replace(",", " ").split()
     wanted = 1 if trial.task is Task.PAIR else len(codes)
     if len(words) == 1 and wanted > 1 and all(len(one) == 1 for one in codes) and len(codes) < 10:

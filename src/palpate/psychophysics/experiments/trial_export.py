@@ -108,12 +108,7 @@ RANK_COLUMNS: Columns = {
 
 @dataclass(frozen=True, slots=True)
 class ExportSummary:
-    """What was exported.
-
-    Attributes:
-        complete: labels of those who were asked all.
-        simulated: whether nothing of it is a measurement.
-    """
+    """Summary of an export."""
 
     participants: tuple[str, ...]
     complete: tuple[str, ...]
@@ -122,12 +117,7 @@ class ExportSummary:
 
 
 def export_trials(design: ExperimentDesign, out: Path, simulated: bool = False) -> ExportSummary:
-    """Write all participants who consented into a new folder.
-
-    Args:
-        out: folder to make; must not exist.
-        simulated: those of rehearsals, in place of those who were measured.
-    """
+    """Write all participants with consent (or all rehearsals) into a new folder."""
     enrolled = [one for one in records(design, simulated) if one.consent in ("yes", "simulated")]
     if not enrolled:
         where = home_of(design, simulated)

@@ -1,10 +1,4 @@
-"""What must not be believed of a rendering bench's devices, and what stops it, period by period.
-
-The size, rate and age of the force on the finger are watched as those on a skin (`devices.force_watch`). What
-is a display's or an arm's own is here: a tip where it cannot be, a chamber that does not hold what it is
-told, sensors that repeat themselves or jump, an arm that does not follow, and energy that comes out of an
-object which only ever took it in.
-"""
+"""Plausibility checks of a rendering bench: device states, timing, force, and energy, once per period."""
 
 from __future__ import annotations
 
@@ -20,21 +14,18 @@ SLACK = 1e-3  # of the greatest pressure, for rounding
 
 @dataclass(frozen=True, slots=True)
 class BenchLimits:
-    """Bounds of a rendering bench.
+    """Limits of a rendering bench.
 
     Attributes:
-        force: of the force on the finger.
         late_s: longest period of the loop [s]; shorter than the devices' watchdogs.
-        margin_m: by which a tip or an arm may stand outside its range: zero and noise [m].
-        jump_m_s: greatest speed of either between two samples [m/s].
-        pressure_pa: by which the chamber may differ from what it is told, for `settle_s` [Pa].
-        mean_pa, mean_share: by which it may differ in the mean over `mean_s`, beside a share of what it is
-            told: presses of 5 Hz come to half of that on the virtual bench [Pa].
-        over_pa: by which it may be above that at all, for `over_s` [Pa].
-        frozen_s: after which readings that repeat themselves to the last digit are not believed [s].
-        astray_m: by which the arm may miss its reference, for `astray_s` [m].
-        energy_j: that may come out of an object beyond what went in since first touch [J].
-        step_n: greatest change of the arm's force from one period to the next [N].
+        margin_m: tolerance of positions outside their range [m].
+        pressure_pa, settle_s: deviation from the set-point, and for how long.
+        mean_pa, mean_share, mean_s: mean deviation, plus a fraction of the set-point, over a time constant.
+        over_pa, over_s: overpressure, and for how long.
+        frozen_s: longest time of identical readings [s].
+        astray_m, astray_s: tracking error of the arm, and for how long.
+        energy_j: energy returned by an object beyond the input since contact [J].
+        step_n: largest change of the arm's force per period [N].
     """
 
     force: ForceLimits = field(default_factory=ForceLimits)
@@ -56,12 +47,7 @@ class BenchLimits:
 
 
 class BenchWatch:
-    """Trips on what must stop a bench; one for each rendering.
-
-    Args:
-        display: what the display states of itself; None where a plate is in its place.
-        arm: what the arm states of itself.
-    """
+    """Checks of one rendering; `display` is None if a plate is in its place."""
 
     def __init__(self, limits: BenchLimits, display: DisplayRange | None, arm: ArmRange) -> None:
         self._limits, self._display, self._arm = limits, display, arm
@@ -157,11 +143,7 @@ class BenchWatch:
             )
 
     def touch(self, force_n: float, speed_m_s: float, dt_s: float, time_ns: int, *, touched: bool) -> None:
-        """Trip on too much force or too fast a rise, and on energy that no elastic object gives.
-
-        Args:
-            speed_m_s: of the finger's surface, positive as it presses [m/s].
-        """
+        """Trip on force, force rate, or energy returned; `speed_m_s` is positive while pressing."""
         self._force.check_size(abs(force_n))
         self._force.check_rate(time_ns, force_n)
         self.energy_j = self.energy_j + force_n * speed_m_s * dt_s if touched else 0.0

@@ -1,4 +1,4 @@
-"""Speed of something whose place is sampled with noise: a filter of second order that follows ramps."""
+"""Velocity estimate of a noisy sampled position by a second-order filter that follows ramps."""
 
 from __future__ import annotations
 

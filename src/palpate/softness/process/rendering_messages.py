@@ -1,8 +1,4 @@
-"""What a rendering's process and its client tell each other, as plain values; see `devices.supervisor`.
-
-An object goes in pieces, so that no line is longer than a pipe takes at once, and none takes the process so
-long to read that a period of its loop is missed.
-"""
+"""Messages between a rendering process and its client; an object is sent in pieces of one line each."""
 
 from __future__ import annotations
 
@@ -30,13 +26,7 @@ Message = dict[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class RenderingStatus:
-    """How a rendering stands.
-
-    Attributes:
-        why: it ended; empty while it has not.
-        late_share: share of them longer than 1.5 ms.
-        wished: whether it ended because somebody wished it.
-    """
+    """State of a rendering; `wished` if it ended on request."""
 
     state: str
     why: str

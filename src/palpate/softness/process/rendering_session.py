@@ -1,4 +1,4 @@
-"""A rendering in a process of its own, as seen by whoever began it."""
+"""Client of a rendering process."""
 
 from __future__ import annotations
 
@@ -37,14 +37,7 @@ KEPT = 6000  # samples, of a minute
 
 
 class RenderingSession(Closing):
-    """Renders an object on a bench until it is closed; the devices are safe whenever it is not told to go on.
-
-    Args:
-        peak_n: force that the virtual finger of a virtual bench comes to [N].
-
-    Attributes:
-        told_s: when the process told anything last [s, monotonic time].
-    """
+    """Renders an object on a bench until closed; `peak_n` and `frequency_hz` are of the virtual finger."""
 
     def __init__(
         self, bench: BenchFile, soft: SoftObject, mode: Mode, peak_n: float = 1.0, frequency_hz: float = 1.0

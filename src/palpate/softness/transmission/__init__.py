@@ -1,4 +1,4 @@
-"""An object from a tactile sensor's reading to a finger that feels it rendered, and what each stage loses."""
+"""An object from a tactile reading to a finger that feels it rendered, with the loss of each stage."""
 
 from palpate.softness.transmission.judged_stages import CueNoise, StageJudgement, judged
 from palpate.softness.transmission.transmission_record import (
