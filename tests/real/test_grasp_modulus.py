@@ -152,6 +152,7 @@ def test_both_cues_tell_the_rubber_balls_and_never_worse_than_force_and_deformat
     assert both.right >= better.right
 
 
+@pytest.mark.slow
 def test_all_fifteen_trials_among_five_objects_are_reported(grasps, rng) -> None:
     labels = [g.ball for g in grasps]
     for title, features in {
@@ -167,6 +168,7 @@ def test_all_fifteen_trials_among_five_objects_are_reported(grasps, rng) -> None
         assert found.p < 0.05  # far from luck; how many are right is reported, with no bar
 
 
+@pytest.mark.slow
 def test_what_an_untouched_gel_tells_of_the_ball_is_far_less_than_touch_does(grasps, rng) -> None:
     """A control, its scores reported with no bar: what light and gel say of the ball when nothing touches.
 

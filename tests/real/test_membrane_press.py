@@ -97,6 +97,7 @@ def alike(values, force) -> float:
     return float(np.corrcoef(values, force)[0, 1])
 
 
+@pytest.mark.slow
 def test_the_skin_opens_behind_what_is_pressed_as_force_grows(flows) -> None:
     force, first, step, on, ways = flows
     F, during = force[1:], slice(*_press(force))

@@ -36,6 +36,7 @@ def plate(real_data):
     return folder
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("region", [FAR_BELOW, FAR_ABOVE], ids=["below", "above"])
 def test_light_alone_allows_a_second_slope_and_this_is_said(plate, region) -> None:
     found = fit_stress_optic(plate, plate / "labels.csv", PLATE, SODIUM, region)
@@ -44,6 +45,7 @@ def test_light_alone_allows_a_second_slope_and_this_is_said(plate, region) -> No
     assert min(abs(one - 2) for one in times) < 0.15
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("region", [FAR_BELOW, FAR_ABOVE], ids=["below", "above"])
 def test_with_the_fringes_counted_the_coefficient_agrees_with_the_crack_s_field(plate, region) -> None:
     found = fit_stress_optic(plate, plate / "labels.csv", PLATE, SODIUM, region, greatest_order=2.5)
@@ -100,6 +102,7 @@ def crack_at(grey):
     return row, sum(ends) / 2
 
 
+@pytest.mark.slow
 def test_the_whole_field_gives_c_to_a_tenth_and_without_a_rival(plate) -> None:
     load, light, u = whole_field(plate)
     found = fit_field(load, light, u, SODIUM, greatest_order=6.0)
@@ -111,6 +114,7 @@ def test_the_whole_field_gives_c_to_a_tenth_and_without_a_rival(plate) -> None:
     assert (found.slope_per_n - half) * C > 3.39e-11  # the authors' greatest
 
 
+@pytest.mark.slow
 def test_yellow_light_is_refused_where_colours_are_asked_for(plate) -> None:
     """One channel is dark and two are nearly one: nothing here validates orders from colour."""
     frame = np.asarray(Image.open(plate / "load100kgf.jpg").convert("RGB"))

@@ -25,6 +25,7 @@ def frames_of(real_data, folder: str, count: int, seed: int) -> tuple[list, list
     return read, others
 
 
+@pytest.mark.slow
 def test_pins_are_found_and_reflections_are_not(real_data) -> None:
     frames, others = frames_of(real_data, "tactip-surface/val", 20, seed=20)
     still = np.mean([one > 0 for one in others], axis=0) > STILL
