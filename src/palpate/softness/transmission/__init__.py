@@ -16,16 +16,6 @@ from palpate.softness.transmission.transmitted_cues import (
 )
 
 __all__ = [
-    "CueNoise",
-    "CueTransmission",
-    "StageJudgement",
-    "Transmission",
-    "felt_live",
-    "judged",
-    "object_file",
-    "order_kept",
-    "shared_peak_n",
-    "transmission_record",
-    "transmissions_record",
-    "transmit",
-]
+    "CueNoise", "CueTransmission", "StageJudgement", "Transmission", "felt_live", "judged", "object_file",
+    "order_kept", "shared_peak_n", "transmission_record", "transmissions_record", "transmit",
+]  # fmt: skip
