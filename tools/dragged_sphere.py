@@ -44,7 +44,6 @@ class Dragged(OffCentre):
     """The disc under a sphere that is dragged.
 
     Attributes:
-        friction: Coulomb's coefficient.
         shift: of the sphere along x, now [R].
     """
 
@@ -106,9 +105,7 @@ class Dragged(OffCentre):
         _, size, slips = self._lag(away)
         most = np.where(slips, self._limit, 0.0)
         held = np.where(
-            slips,
-            most * (size - most / TANGENT / 2),
-            np.where(self._limit > 0.0, TANGENT, 0.0) * size**2 / 2,
+            slips, most * (size - most / TANGENT / 2), np.where(self._limit > 0.0, TANGENT, 0.0) * size**2 / 2
         )
         return float(solid.sum() + (self.top_area * (NORMAL * sunk**2 / 2 + held)).sum())
 

@@ -112,7 +112,6 @@ class HalfDisc:
     Attributes:
         thickness: h [R].
         offset: of the sphere's axis from the disc's [R].
-        cells: of the mesh.
     """
 
     thickness: float

@@ -23,10 +23,7 @@ COMMANDS = (
     "compliance experiment/new/01.tif --force experiment/new/01.csv --calibration tip.npz --out press",
     "compliance compare experiment --calibration tip.npz --out compared",
 )
-PICTURES = {
-    "press/press.png": "compliance-press.png",
-    "compared/comparison.png": "compliance-compare.png",
-}
+PICTURES = {"press/press.png": "compliance-press.png", "compared/comparison.png": "compliance-compare.png"}
 COLOURS = 256  # of a plot, without a photograph
 
 

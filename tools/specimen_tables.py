@@ -166,7 +166,7 @@ def small_loads() -> dict[str, dict[str, float]]:
         (state,) = press.through([0.1])
         pair = Body(5e4 / plane, 20e-3).against(Body(1e6 * mpa / plane, 1e-3 * dome))
         found[f"tip of 0.05 MPa on {mpa:g} MPa, R {dome:g} mm, at 0.1 mm"] = {
-            "force_over_hertz": round(press.force(state) / float(pair.force_n(1e-4)), 4),
+            "force_over_hertz": round(press.force(state) / float(pair.force_n(1e-4)), 4)
         }
     stiff = Tip(skin_mpa=100.0, gel_mpa=100.0)
     press = TipPress(stiff, Specimen(0.1, 2.0, LAYER_RADIUS_MM), cells=FINER_CELLS)
@@ -174,7 +174,7 @@ def small_loads() -> dict[str, dict[str, float]]:
     by_radius = [sphere_from_radius(a, 20e-3, 2e-3, 1e5, 0.48) for a in np.linspace(1e-3, 4e-3, 200)]
     depth, force = np.array(by_radius).T
     found["rigid sphere of 20 mm on a layer of 2 mm, 0.1 MPa, at 0.1 mm"] = {
-        "force_over_hayes": round(press.force(state) / float(np.interp(1e-4, depth, force)), 4),
+        "force_over_hayes": round(press.force(state) / float(np.interp(1e-4, depth, force)), 4)
     }
     return found
 

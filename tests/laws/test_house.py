@@ -57,7 +57,7 @@ def imports_of_palpate(path: Path) -> list[tuple[str, str]]:
     ]
 
 
-@pytest.mark.parametrize("folder", ["tools", "benchmarks", "examples"])
+@pytest.mark.parametrize("folder", ["tools", "benchmarks", "examples", "reproductions"])
 def test_scripts_that_seldom_run_import_only_what_exists(folder: str) -> None:
     missing = [
         f"{path.relative_to(REPOSITORY)}: {module}.{name}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import statsmodels.api as sm
-from scipy import integrate, optimize, special, stats
+from scipy import special, stats
 from tests.refusals import refused
 
 from palpate.core import InputError, RangeError
@@ -50,21 +50,6 @@ def test_the_estimating_equation_is_that_of_statsmodels() -> None:
     assert first.high - first.value == pytest.approx(error, rel=1e-4)
 
 
-def test_the_mixed_likelihood_is_the_integral_over_participants() -> None:
-    counts = drawn(np.random.default_rng(2), (1.0, 0.0), 1.0, people=4)
-    beta, sd = np.array([0.9, -0.1]), 0.8
-
-    def of(person: int) -> float:
-        def density(b: float) -> float:
-            p = special.expit(beta + b)
-            k, n = counts.right[person], counts.n[person]
-            return float(np.prod(p**k * (1 - p) ** (n - k)) * stats.norm.pdf(b, 0, sd))
-
-        return np.log(integrate.quad(density, -8, 8, epsabs=0, epsrel=1e-10)[0])
-
-    assert mixed_log_likelihood(counts, beta, sd) == pytest.approx(sum(map(of, range(4))), abs=3e-5)
-
-
 def by_dense_nodes(counts: ConditionCounts, beta: np.ndarray, sd: float) -> float:
     """The mixed likelihood by the trapezium rule, 0.0045 of the scatter apart."""
     u = np.linspace(-9, 9, 4001)
@@ -80,28 +65,6 @@ def test_the_mixed_likelihood_is_the_integral_of_many_answers_as_of_few(answers:
     counts = drawn(np.random.default_rng(7), (0.0, 0.5, 1.0), sd, n=answers)
     beta = np.array([0.1, 0.4, 0.9])
     assert mixed_log_likelihood(counts, beta, sd) == pytest.approx(by_dense_nodes(counts, beta, sd), abs=1e-6)
-
-
-def test_of_many_answers_the_scatter_and_the_error_are_those_of_dense_nodes() -> None:
-    counts = drawn(np.random.default_rng(8), (0.0, 0.5), 2.0, n=280)
-    fit = fit_mixed_logistic(counts)
-
-    def off(u: np.ndarray) -> float:
-        return -by_dense_nodes(counts, u[:2], u[2]) - float(np.sum(0.5 * u[:2] + special.log_expit(-u[:2])))
-
-    best = optimize.minimize(off, [0.0, 0.5, 1.0], method="Nelder-Mead", options={"xatol": 1e-4}).x
-    assert [*fit.log_odds, fit.intercept_sd] == pytest.approx(best, abs=2e-3)
-    h = 0.05
-    curvature = np.array([
-        [
-            sum(i * j * off(best + h * (i * e + j * f)) for i in (-1, 1) for j in (-1, 1)) / (4 * h * h)
-            for e in np.eye(3)
-        ]
-        for f in np.eye(3)
-    ])  # fmt: skip
-    assert fit.covariance == pytest.approx(np.linalg.inv(curvature)[:2, :2], rel=0.03)
-    told = 10 / fit.intercept_sd**2 + 2 / 4  # by ten participants, and by two priors of one answer each
-    assert fit.covariance[0, 0] == pytest.approx(1 / told, rel=0.2)
 
 
 def test_without_scatter_the_mixed_model_is_plain_and_with_it_the_scatter_is_found() -> None:
@@ -174,20 +137,3 @@ def test_where_the_effect_differs_between_people_more_of_them_are_needed() -> No
     assert null.low <= 0.05  # signs keep their rate
     with refused("study-design", RangeError):
         PlannedStudy(0.6, 0.8, 12, effect_sd=-1.0)
-
-
-@pytest.mark.slow
-def test_own_effects_deceive_the_mixed_model_and_neither_the_estimating_equation_nor_signs() -> None:
-    rng, found, studies = np.random.default_rng(10), np.zeros(3), 120
-    for _ in range(studies):
-        b = 0.5 * rng.standard_normal((10, 1)) + rng.standard_normal((10, 1)) * np.array([-0.5, 0.5])
-        right = rng.binomial(40, special.expit(0.5 + b)).astype(float)
-        counts = ConditionCounts(("I", "K"), tuple("ABCDEFGHIJ"), right, np.full((10, 2), 40.0))
-        found += [
-            fit_mixed_logistic(counts).pairs[0].p < 0.05,
-            marginal_log_odds(counts)[0].p < 0.05,
-            share_differences(counts)[0].p < 0.05,
-        ]
-    mixed, marginal, signs = found / studies
-    assert mixed > 0.15
-    assert max(marginal, signs) <= stats.binom.ppf(0.999, studies, 0.05) / studies

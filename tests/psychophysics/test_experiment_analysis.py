@@ -23,7 +23,7 @@ from palpate.psychophysics import (
     write_judgements,
     write_stimuli,
 )
-from palpate.psychophysics.analysis import SigmoidShape, analyse_experiment
+from palpate.psychophysics.analysis import analyse_experiment
 
 LEVELS = (240.0, 170.0, 120.0, 80.0, 50.0)
 STIMULI = {f"SS{i + 1}": Stimulus(f"SS{i + 1}", kpa, -1, "kPa") for i, kpa in enumerate(LEVELS)}
@@ -95,27 +95,6 @@ def test_a_participant_whose_point_of_equality_is_beyond_the_levels_is_counted_a
     assert not any("answers bound" in line for line in without.caveats if "direct I" in line)
 
 
-def test_rankings_have_their_matrix_and_a_tau_that_falls_with_noise(found) -> None:
-    taus = [one.tau for one in found.rankings]
-    assert taus[0] > taus[2] > taus[1] > 0.2
-    assert found.rankings[0].confusion.rankings == 30
-    assert found.rankings[0].tau_interval[0] < taus[0] < found.rankings[0].tau_interval[1] + 1e-9
-
-
-@pytest.mark.parametrize("turned", [False, True])
-def test_an_interval_of_kendall_s_tau_ends_at_one(turned: bool) -> None:
-    head = (Condition.INTEGRATED, Presentation.DIRECT, Task.RANK, 1, 1, NAMES)
-    orders = [NAMES, NAMES, ("SS1", "SS3", "SS2", "SS4", "SS5")]  # tau 1, 1 and 0.8
-    answers = [order[::-1] if turned else order for order in orders]
-    judgements = [Judgement(f"P{k}", *head, answer) for k, answer in enumerate(answers)]
-    (rankings,) = analyse_experiment(judgements, STIMULI).rankings
-    low, high = rankings.tau_interval
-    student = 2.8 / 3 + np.array([-1, 1]) * 4.302653 * np.std([1, 1, 0.8], ddof=1) / np.sqrt(3)
-    assert student[1] > 1.2, "Student's would end beyond"
-    inner = student[0]
-    assert (low, high) == pytest.approx((-1.0, -inner) if turned else (inner, 1.0), abs=1e-5)
-
-
 def test_the_wrong_sign_of_softness_makes_all_of_it_worse_than_chance() -> None:
     turned = {name: replace(one, softer=1) for name, one in STIMULI.items()}
     found = analyse_experiment(simulated(4), turned)
@@ -167,15 +146,6 @@ def test_one_participant_all_right_and_all_wrong_are_answered_with_bounds() -> N
         analyse_experiment(simulated(1), {"SS1": STIMULI["SS1"]})
 
 
-def test_logarithmic_levels_give_a_threshold_in_the_same_unit() -> None:
-    for shape in (SigmoidShape.GAUSSIAN, SigmoidShape.WEIBULL):
-        found = analyse_experiment(simulated(6), STIMULI, shape=shape, logarithmic=True, lapse=0.01)
-        assert found.thresholds[0].fit.function.lapse == found.thresholds[0].fit.function.guess == 0.01
-        one = found.thresholds[0]
-        assert one.pse[1] < one.pse[0] < one.pse[2]
-        assert 80.0 < one.pse[0] < 170.0  # the comparisons on both sides of the standard, 120 kPa
-
-
 def palpate(*words: object, status: int = 0) -> str:
     result = CliRunner().invoke(app, [str(word) for word in words])
     assert result.exit_code == status, result.output
@@ -213,18 +183,6 @@ def test_the_verb_prints_answers_first_and_makes_one_page(study: Path, tmp_path)
     assert found["judgements"] == 3 * 3 * 27
     assert found["accuracies"][0]["share"] > 0.9
     assert "exists" in palpate("experiment", "analyze", study, "--out", page, status=2)
-
-
-def test_rehearsed_answers_are_said_to_be_no_measurement(study: Path, tmp_path) -> None:
-    assert "nothing here" not in palpate("experiment", "analyze", study)
-    (study / "sub-P02" / "participant.json").write_text(
-        '{"participant": "P02", "consent": "simulated", "simulated": true}'
-    )
-    assert "nothing here" in palpate("experiment", "analyze", study, "--out", tmp_path / "p.html")
-    page = (tmp_path / "p.html").read_text()
-    assert "<b>Simulated.</b>" in page
-    (study / "sub-P02" / "participant.json").write_text("{")
-    assert "participant.json is" in palpate("experiment", "analyze", study, status=2)
 
 
 def test_the_verb_refuses_what_is_wrong_in_a_line_and_counts_rows_without_an_answer(study: Path) -> None:

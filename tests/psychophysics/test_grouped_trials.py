@@ -63,19 +63,6 @@ def test_in_balanced_trials_it_is_the_analysis_of_variance(rng) -> None:
     assert_allclose(found.correlation_interval, [one / (1 + one) for one in ends], rtol=1e-8)
 
 
-def test_nested_seats_are_tested_against_the_scatter_of_seats(rng) -> None:
-    y, names, groups = study(rng, 6, 3, 2.0, 1.0, 0.3)
-    found = compare_grouped(y, names, seats(names, groups))
-    square, seat, within = variances(y, names, groups, 6, 3)
-    expected = ((square - seat) / 9, (seat - within) / 3, within)
-    assert_allclose(list(found.variance.values()), expected, rtol=1e-6)
-    assert_allclose(found.correlation["specimen"], 1 - within / sum(expected), rtol=1e-6)
-    told = found.pair("a", "c").difference
-    assert_allclose(told.freedom, 10, rtol=1e-8)
-    assert_allclose(told.high - told.value, stats.t.ppf(0.975, 10) * np.sqrt(seat * 2 / 18), rtol=1e-6)
-    assert found.correlation_interval is None
-
-
 @pytest.mark.slow
 def test_another_code_finds_the_same_where_trials_are_missing(rng) -> None:
     """Statsmodels' MixedLM, far from a variance of 0."""
@@ -106,44 +93,6 @@ def test_a_shift_of_whole_sessions_changes_no_difference(rng) -> None:
     assert_allclose([second.value, second.low, second.high], [first.value, first.low, first.high], rtol=1e-6)
     widths = [one.means["a"].high - one.means["a"].low for one in (before, after)]
     assert widths[1] > 5 * widths[0]
-
-
-def test_units_scale_what_they_should(rng) -> None:
-    y, names, groups = study(rng, 4, 3, 1.0, 0.0, 1.0, kept=0.8)
-    one, other = (
-        compare_grouped(y, names, groups),
-        compare_grouped([1e3 + 1e-3 * v for v in y], names, groups),
-    )
-    assert_allclose(other.variance["session"], 1e-6 * one.variance["session"], rtol=1e-4)
-    assert_allclose(other.means["b"].low, 1e3 + 1e-3 * one.means["b"].low, rtol=1e-9)
-    assert_allclose(other.pairs[0].difference.high, 1e-3 * one.pairs[0].difference.high, rtol=1e-5)
-
-
-def test_without_sessions_that_differ_it_agrees_with_the_ordinary_comparison() -> None:
-    """Sessions made alike: their variance is 0, and a difference's interval Student's, less their freedom."""
-    y, names, groups = study(np.random.default_rng(3), 6, 5, 0.0, 0.0, 1.0)
-    cells = np.reshape(y, (6, 3, 5))
-    y = list((cells - cells.mean((1, 2), keepdims=True)).ravel() + np.repeat(0.01 * np.arange(6), 15))
-    found = compare_grouped(y, names, groups)
-    assert found.variance["session"] == 0
-    assert "to be" in found.notes[0]
-    assert found.converged
-    values = {name: [v for v, s in zip(y, names, strict=True) if s == name] for name in TRUE}
-    pooled = np.mean([np.var(each, ddof=1) for each in values.values()])
-    told = found.pair("a", "b").difference
-    assert_allclose(found.variance["within"], pooled, rtol=1e-6)
-    assert_allclose(told.high - told.value, stats.t.ppf(0.975, 82) * np.sqrt(pooled * 2 / 30), rtol=1e-6)
-    low, high = mean_interval(values["a"])
-    assert_allclose(found.means["a"].value, (low + high) / 2, atol=1e-9)
-
-
-def test_a_mean_counts_sessions_also_where_their_variance_is_found_to_be_0() -> None:
-    """Degrees of freedom: one less than sessions; of a difference those of trials, less those of sessions."""
-    y, names, groups = study(np.random.default_rng(3), 4, 5, 0.0, 0.0, 1.0)
-    found = compare_grouped(y, names, groups)
-    assert found.variance["session"] == 0
-    assert found.means["a"].freedom == 3
-    assert_allclose(found.pair("a", "b").difference.freedom, len(y) - 3 - 3)
 
 
 @pytest.mark.parametrize("sessions", [1, 2])
@@ -241,7 +190,6 @@ def band(level, studies):
 
 STUDIES = 600
 SESSIONS = {"sessions": 6, "trials": 4, "between": 1.0, "seat": 0.0, "within": 1.0}
-SEATS = {"sessions": 6, "trials": 4, "between": 1.0, "seat": 1.0, "within": 1.0}
 
 
 @pytest.mark.slow
@@ -256,21 +204,6 @@ def test_intervals_cover_at_their_rate_and_students_of_trials_do_not(level, kept
     assert low <= found["mean"] <= high + 0.02, found  # of six sessions its freedom is a little too small
     assert found["Student's mean"] < low - 0.05, found
     assert_allclose(components, [1, 1], atol=4 * np.sqrt(2 / 5 / STUDIES) * 1.2)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kept", [1.0, 0.6])
-def test_with_seats_of_their_own_differences_cover_and_without_them_do_not(kept) -> None:
-    """The negative controls: Student's, and the model that knows sessions alone."""
-    found, components = rates(SEATS | {"kept": kept}, True, 0.95, STUDIES, 12)
-    low, high = band(0.95, STUDIES)
-    for name in ("mean", "difference"):
-        assert low <= found[name] <= high + 0.02, (name, found)
-    assert found["Student's difference"] < low, found
-    assert found["Student's mean"] < low - 0.05, found
-    assert_allclose(components, [1, 1, 1], atol=0.15)
-    blind, _ = rates(SEATS | {"kept": kept}, False, 0.95, STUDIES, 12)
-    assert blind["difference"] < low - 0.05, blind
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.psychophysics.sitting_desks import NOW, Desk, jelly, sit
+from tests.psychophysics.sitting_desks import NOW
 from tests.refusals import refused
 from typer.testing import CliRunner
 
@@ -25,7 +25,6 @@ from palpate.psychophysics.experiments import (
     make_experiment,
     noisy_answers,
     participant_folder,
-    read_design,
     read_kept_answers,
     records,
 )
@@ -73,31 +72,6 @@ def test_a_design_that_was_edited_since_is_not_what_answers_are_scored_by(
         with refused("design-changed", InputError, match=str(name)):
             read_kept_answers(folder)
     assert "since P01" in told("experiment", "analyze", study.folder, status=2)
-
-
-def test_a_table_of_stimuli_that_was_edited_is_noticed_where_the_design_was_left_behind(
-    study: ExperimentDesign,
-) -> None:
-    (study.folder / "experiment.toml").unlink()
-    assert len(read_kept_answers(study.folder).judgements) == 26
-    changed(study.folder / "stimuli.csv", "3.3", "1.3")
-    with refused("design-changed", InputError, match=r"stimuli\.csv"):
-        read_kept_answers(study.folder)
-
-
-def test_a_rehearsal_is_scored_by_the_design_as_it_is_or_not_at_all(study: ExperimentDesign) -> None:
-    home = answered(study, "R01", simulated=True).parent
-    (home / "stimuli.csv").write_text((study.folder / "stimuli.csv").read_text().replace("3.3", "9.9"))
-    assert read_kept_answers(home).stimuli == study.stimuli, "a table that was left there is not looked at"
-    assert read_kept_answers(home / "sub-R01").stimuli == study.stimuli
-    for code in ("P01", "P02"):
-        shutil.rmtree(study.folder / f"sub-{code}")
-    changed(study.folder / "stimuli.csv", "3.3", "3.4")
-    answered(read_design(study.folder), "R02", simulated=True)
-    with refused("design-changed", InputError, match="R01"):
-        read_kept_answers(home)
-    shutil.rmtree(home / "sub-R01")
-    assert read_kept_answers(home).stimuli["cup2"].level == 3.4
 
 
 def test_an_exported_rehearsal_is_said_to_be_simulated_before_anything_else(
@@ -191,11 +165,3 @@ def test_a_record_that_is_gone_is_to_be_put_back_and_gives_no_number_again(
     ):
         with refused("record-missing", match=r"participant\.json"):
             work()
-
-
-def test_a_participant_s_own_folder_is_analysed_by_itself(tmp_path: Path) -> None:
-    design = jelly(tmp_path)
-    sit(design, Desk(), observed=True)
-    kept = read_kept_answers(design.folder / "sub-P01")
-    assert len(kept.judgements) == 13
-    assert not kept.simulated

@@ -8,7 +8,7 @@ from scipy import optimize, special, stats
 from statsmodels.stats.proportion import confint_proportions_2indep, proportion_confint
 from tests.refusals import refused
 
-from palpate.core import InputError, RangeError
+from palpate.core import RangeError
 from palpate.psychophysics.analysis import (
     clopper_pearson_interval,
     cluster_interval,
@@ -89,38 +89,6 @@ def test_of_one_answer_each_the_beta_binomial_posterior_is_jeffreys(right: int) 
     exact = stats.beta.ppf([0.025, 0.975], right + 0.5, 10 - right + 0.5)
     assert low == pytest.approx(exact[0] if right else 0.0, abs=2e-3)
     assert high == pytest.approx(exact[1] if right < 10 else 1.0, abs=2e-3)
-
-
-def test_the_beta_binomial_interval_is_turned_round_with_right_and_wrong_and_widens_where_people_differ() -> (
-    None
-):
-    k = np.array([12.0, 11, 10, 12, 8, 9, 12, 11, 12, 10])
-    low, high = beta_binomial_interval(k, np.full(10, 12.0))
-    assert beta_binomial_interval(12 - k, np.full(10, 12.0)) == pytest.approx((1 - high, 1 - low), abs=1e-6)
-    apart = beta_binomial_interval(np.array([12.0] * 8 + [11, 0]), np.full(10, 12.0))  # as many right
-    assert apart[1] - apart[0] > 1.5 * (high - low)
-
-
-def test_percentiles_of_ten_units_lie_as_far_out_as_student_s_t() -> None:
-    """sqrt(10 / 9) t(9) = 2.3845, beyond which a Gaussian has 0.855 %."""
-    low, high = expanded_percentiles(np.linspace(0.0, 1.0, 10_001), 10, 0.95)
-    assert (low, high) == pytest.approx((0.00855, 1 - 0.00855), abs=2e-5)
-
-
-def test_participants_who_are_all_right_lie_between_one_answer_each_and_all_answers() -> None:
-    rng = np.random.default_rng(0)
-    low, high = cluster_interval([15] * 10, [15] * 10, rng)
-    assert clopper_pearson_interval(10, 10)[0] < low < wilson_interval(150, 150)[0]
-    assert high == 1.0
-    assert cluster_interval([0] * 10, [15] * 10, rng) == pytest.approx((0.0, 1 - low), abs=1e-6)
-    with pytest.raises(InputError, match="best ten"):
-        cluster_interval([3], [3], rng)
-
-
-def test_one_wrong_answer_moves_an_interval_by_little() -> None:
-    rng = np.random.default_rng(0)
-    lows = [cluster_interval([15] * 9 + [15 - wrong], [15] * 10, rng)[0] for wrong in (0, 1, 2)]
-    assert lows[0] > lows[1] > lows[2] > lows[0] - 0.12
 
 
 def test_counts_that_cannot_be_are_refused() -> None:

@@ -64,16 +64,3 @@ def test_known_parameters_are_recovered_in_1500_studies(name: str) -> None:
     found = recovered(name, 1500, seed=4)
     print(name, {what: round(value, 3) for what, value in found.items()})
     assert_recovered(found, 1500)
-
-
-def test_intervals_of_a_wrong_lapse_rate_do_not_cover() -> None:
-    """The control: lapses that are there and not said make the spread too great."""
-    truth, levels, _ = TRUTHS["gaussian, lapses known"]
-    lapsing = PsychometricFunction(truth.shape, truth.threshold, truth.spread, 0.08, 0.08)
-    rng = np.random.default_rng(5)
-    held = 0
-    for _ in range(60):
-        k = rng.binomial(ANSWERS, lapsing(levels))
-        fit = fit_psychometric(levels, k, [ANSWERS] * len(levels), deviance_draws=0)
-        held += fit.spread.low <= truth.spread <= fit.spread.high
-    assert held < 45

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from scipy import special, stats
+from scipy import special
 from tests.refusals import refused
 
 from palpate.core import InputError, RangeError
@@ -20,18 +20,6 @@ def test_two_stimuli_are_ranked_as_a_pair_is_told() -> None:
     right = special.ndtr(1.3 / math.sqrt(2))
     assert one.rank_matrix() == pytest.approx(np.array([[right, 1 - right], [1 - right, right]]), abs=1e-9)
     assert one.pair_accuracy(0, 1) == one.pair_accuracy(1, 0) == pytest.approx(right)
-
-
-def test_the_first_rank_of_three_is_an_orthant_of_scipy_s() -> None:
-    places = np.array([0.0, 0.7, 1.9])
-    matrix = gaussian_matrix(places)
-    covariance = [[2.0, 1.0], [1.0, 2.0]]
-    for i in range(3):
-        others = np.delete(places, i)
-        least = stats.multivariate_normal.cdf(others - places[i], [0, 0], covariance, abseps=1e-9)
-        greatest = stats.multivariate_normal.cdf(places[i] - others, [0, 0], covariance, abseps=1e-9)
-        assert matrix[i, 0] == pytest.approx(least, abs=1e-6)
-        assert matrix[i, 2] == pytest.approx(greatest, abs=1e-6)
 
 
 def test_more_nodes_change_a_matrix_by_less_than_its_stated_error(monkeypatch) -> None:

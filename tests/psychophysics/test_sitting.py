@@ -5,8 +5,6 @@ from __future__ import annotations
 import errno
 import os
 import re
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -22,7 +20,7 @@ from palpate.core import (
     RecordingError,
     StorageError,
 )
-from palpate.psychophysics import Presentation, Task, read_judgements
+from palpate.psychophysics import read_judgements
 from palpate.psychophysics.experiments import (
     Enrolment,
     Sitting,
@@ -41,7 +39,6 @@ from palpate.psychophysics.experiments.experiment_file import EXPERIMENT
 from palpate.psychophysics.experiments.participant_record import ACTIVITIES, checked_age, letter_codes
 from palpate.psychophysics.experiments.response_log import ResponseLog
 from palpate.psychophysics.experiments.sitting import KEY, SCHEDULE
-from palpate.psychophysics.experiments.sitting_dialogue import read_answer
 
 
 def table(design, participant: str = "P01") -> Path:
@@ -124,19 +121,6 @@ def test_a_row_that_was_cut_anywhere_is_asked_again(tmp_path) -> None:
         assert any("asked again" in one for one in desk.told) is (cut > begin)
 
 
-def test_a_row_that_lacks_its_end_of_line_alone_stays(tmp_path) -> None:
-    design = jelly(tmp_path)
-    sit(design, Desk(["1", "2", "q"]))
-    whole = table(design).read_bytes()
-    table(design).write_bytes(whole[:-1])
-    with opened(design) as sitting:
-        assert len(sitting.judgements) == 2
-        assert sitting.torn == 0
-        sitting.take(sitting.next.presented[:1], 1.0)
-    assert table(design).read_bytes().startswith(whole)
-    assert len(read_judgements(table(design))) == 3
-
-
 def test_a_table_with_a_row_missing_twice_or_changed_is_refused(tmp_path) -> None:
     design = jelly(tmp_path)
     sit(design, Desk(["1"] * 6 + ["q"]))
@@ -178,19 +162,6 @@ def test_a_design_schedule_key_or_number_that_was_changed_between_sittings_is_re
         opened(design)
 
 
-def test_a_rankings_s_answer_that_is_no_order_is_asked_again_and_not_kept(tmp_path) -> None:
-    design = jelly(tmp_path)
-    desk = Desk(["1"] * 12 + ["1 2 3 4", "1 2 3 4 4", "", "1 2 3 4 9", "five", "12344", "5 4 3 2 1"])
-    assert sit(design, desk).complete
-    *_, last = read_judgements(table(design))
-    assert last.answer == last.presented[::-1]
-    said = "\n".join(desk.told)
-    assert "wanted; missing" in said
-    assert "twice; missing" in said
-    assert "nothing was" in said
-    assert "'9' is" in said
-
-
 def test_nothing_that_is_told_or_named_says_which_stimulus_it_is(tmp_path) -> None:
     design = make_experiment(tmp_path / "study", "bianchi-2010", 3)
     for k in range(4):
@@ -214,16 +185,6 @@ def test_nothing_that_is_told_or_named_says_which_stimulus_it_is(tmp_path) -> No
         assert not leak.search(names)
         assert leak.search((participant_folder(design, one.participant) / KEY).read_text()), "it can be seen"
         assert all(re.fullmatch("[A-Z]{1,2}", code) for _, _, code in presenter.shown)
-
-
-def test_letters_are_drawn_anew_for_each_participant_and_never_twice(tmp_path) -> None:
-    design = make_experiment(tmp_path / "study", "bianchi-2010", 3)
-    keys = [letter_codes(design, number) for number in range(1, 9)]
-    assert all(len(set(one.values())) == len(one) == 30 for one in keys)
-    place = next(iter(keys[0]))
-    assert len({one[place] for one in keys}) > 4
-    ten = jelly(tmp_path)
-    assert all(len(one) == 1 for one in letter_codes(ten, 1).values())
 
 
 def test_a_device_that_refuses_pauses_the_sitting_and_nothing_is_lost(tmp_path) -> None:
@@ -273,26 +234,6 @@ def test_what_was_felt_before_a_fault_has_to_be_felt_again(tmp_path) -> None:
     desk = Desk([breaks, "", "1", "s1", "1", "q"])  # the second after the fault; the first is lacking then
     assert sit(design, desk, presenter).kept == 1
     assert "type s1" in "\n".join(desk.told)
-
-
-def test_of_a_rendered_ranking_all_have_to_be_shown(tmp_path) -> None:
-    design = make_experiment(tmp_path / "study", "bianchi-2010", 3)
-    for k in range(4):
-        enrol(design, f"P{k}", Enrolment(True))
-    rendered = next(one.participant for one in records(design) if one.group == "rendered")
-    answer, presenter = noisy_answers(design, rendered, 0.0), Presenter()
-    desk = Desk(["1 2 3 4 5", "s2", "s4", "5 4 3 2 1", "s3", "s5", "1 2 3 4 5", "q"])
-    with opened(design, rendered) as sitting:
-        while sitting.next.task is Task.PAIR:
-            sitting.take(answer(sitting.next), 1.0)
-        before = len(sitting.judgements)
-        SittingDialogue(sitting, desk, presenter, desk.clock).run()
-        assert len(sitting.judgements) == before + 1
-        *_, last = sitting.judgements
-        assert last.answer == last.presented
-    said = "\n".join(desk.told)
-    assert "s4 s5" in said
-    assert "s3 s5" in said
 
 
 def test_an_answer_to_what_had_ended_by_itself_is_not_taken(tmp_path) -> None:
@@ -445,14 +386,6 @@ def test_codes_that_differ_by_capitals_alone_are_refused(tmp_path) -> None:
     assert enrol(design, "CON1", Enrolment(True)).number == 2, "sub-CON1 is no device of Windows"
 
 
-@pytest.mark.parametrize("code", ["Anna", "Anna-Schmidt", "AB", "sub-P01", "SUB-P02"])
-def test_a_name_or_a_folder_s_name_is_no_code(code: str, tmp_path: Path) -> None:
-    design = make_experiment(tmp_path / "jelly", "jelly", 1)
-    with refused("participant-code", InputError):
-        enrol(design, code, Enrolment(True))
-    assert not list(design.folder.glob("sub-*"))
-
-
 def test_the_laterality_quotient_is_the_inventory_s() -> None:
     assert laterality_quotient(["RR"] * 10) == 100
     assert laterality_quotient(["LL"] * 10) == -100
@@ -491,36 +424,6 @@ def test_enrolment_asks_consent_first_and_keeps_no_more_than_the_design_asks_for
     with pytest.raises(EOFError):
         ask_enrolment(design, Desk([]))
     assert ask_enrolment(jelly(tmp_path), Desk(["y"])).age == ""
-
-
-def test_an_answer_is_read_by_places_or_letters_alone(tmp_path) -> None:
-    design = jelly(tmp_path)
-    with opened(design) as sitting:
-        trial = replace(sitting.next, presented=("cup1", "cup3"))
-    assert read_answer(" 2 ", trial, ["B", "K"]) == ("cup3",)
-    assert read_answer("b", trial, ["B", "K"]) == ("cup1",)
-    for wrong in ("", "3", "0", "12", "1 2", "cup1", "x"):
-        with pytest.raises(InputError):
-            read_answer(wrong, trial, ["B", "K"])
-    rank = replace(trial, task=Task.RANK, presented=("cup1", "cup3", "cup2"))
-    for typed in ("3 1 2", "312", "z,b,k", "ZBK", "3 b k"):
-        assert read_answer(typed, rank, ["B", "K", "Z"]) == ("cup2", "cup1", "cup3")
-    assert rank.presentation is Presentation.DIRECT
-
-
-def test_an_observer_without_noise_is_always_right_and_a_noise_below_zero_is_refused(tmp_path) -> None:
-    design = jelly(tmp_path)
-    sit(design, Desk(), observed=True)
-    assert all(one.right(design.stimuli) for one in read_judgements(table(design)))
-    with pytest.raises(RangeError, match="noise"):
-        noisy_answers(design, "P01", -1.0)
-
-
-def test_participants_who_come_at_once_have_numbers_of_their_own(tmp_path) -> None:
-    design = make_experiment(tmp_path / "jelly", "jelly", 1)
-    with ThreadPoolExecutor(4) as pool:
-        enrolled = list(pool.map(lambda k: enrol(design, f"P{k}", Enrolment(True)), range(6)))
-    assert sorted(one.number for one in enrolled) == [1, 2, 3, 4, 5, 6]
 
 
 def test_a_full_disk_at_enrolment_leaves_nothing_and_takes_no_number(tmp_path, monkeypatch) -> None:

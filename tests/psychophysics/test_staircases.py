@@ -22,11 +22,6 @@ def test_one_up_n_down_settles_at_levitt_s_shares(right: int, share: float) -> N
     assert StaircaseRule(1, right).converges_to == pytest.approx(1 - share, abs=5e-6)
 
 
-@pytest.mark.parametrize(("right", "ratio", "share"), [(1, 3, 0.75), (2, 3, 0.75**0.5), (1, 1, 0.5)])
-def test_a_weighted_staircase_settles_where_steps_times_chances_balance(right, ratio, share) -> None:
-    assert StaircaseRule(right, up_ratio=ratio).converges_to == pytest.approx(share, abs=1e-9)
-
-
 @pytest.mark.parametrize(
     "rule", [(1, 1, 1), (2, 1, 1), (3, 1, 1), (4, 1, 1), (1, 1, 3), (2, 1, 2), (3, 2, 1), (1, 2, 1)]
 )
@@ -82,32 +77,6 @@ def test_an_end_of_the_set_is_no_reversal_and_max_trials_end_a_track() -> None:
         begin_staircase(0)
     with refused("staircase-rule", InputError):
         StaircaseRule(reversals=1)
-
-
-def test_a_mean_of_reversals_finds_a_known_threshold() -> None:
-    # 2 down 1 up settles where Φ(z) = 0.7071, at z = 0.545: place 30 + 0.545 × 8
-    rule = StaircaseRule(2, 1, (4, 2, 1), 1, reversals=14, max_trials=400)
-    rng = np.random.default_rng(3)
-    found = []
-    for _ in range(300):
-        state = begin_staircase(61)
-        while not state.ended:
-            state = step_staircase(rule, 61, state, bool(rng.random() < ndtr((state.place - 30) / 8)))
-        found.append(state.threshold)
-    assert np.mean(found) == pytest.approx(30 + 0.545 * 8, abs=1.5)
-
-
-def test_the_expected_entropy_is_that_of_both_posteriors() -> None:
-    placement = Placement.of_differences([-30.0, -10.0, 5.0, 20.0]).after(1, True)
-    for k in range(4):
-        direct = 0.0
-        for softer in (True, False):
-            weight = placement.after(k, softer).weight
-            chance = placement.chance()[k] if softer else 1 - placement.chance()[k]
-            direct -= (placement.weight @ chance) * float(
-                np.sum(weight * np.log(weight, where=weight > 0, out=np.zeros_like(weight)))
-            )
-        assert placement.expected_entropy()[k] == pytest.approx(direct, rel=1e-12)
 
 
 def test_a_known_observer_is_found_and_asked_near_the_middle() -> None:

@@ -10,7 +10,7 @@ import pytest
 from tests.refusals import refused
 
 from palpate.core import ExistsError, InputError, LabelError
-from palpate.psychophysics import read_judgements, read_stimuli
+from palpate.psychophysics import read_judgements
 from palpate.psychophysics.experiments import (
     Enrolment,
     Sitting,
@@ -91,31 +91,6 @@ def test_rows_say_what_was_presented_answered_and_right(exported) -> None:
         assert described["softness_difference"]["Units"] == "g/100ml"
         assert "4 g/100ml" in described["presented"]["Levels"]["cup1"]
     assert not (out / "sub-P02" / "beh" / "sub-P02_task-rank_beh.tsv").exists()
-
-
-def test_the_source_tables_are_read_as_any_other_are(exported) -> None:
-    design, out, _ = exported
-    assert len(read_judgements(out / "sourcedata")) == 20
-    assert read_stimuli(out / "sourcedata") == design.stimuli
-
-
-def test_staircases_tell_where_they_settle_and_turned(tmp_path) -> None:
-    design = make_experiment(tmp_path / "study", "threshold", 5)
-    filled(design, "P01", 15.0)
-    export_trials(design, tmp_path / "bids")
-    beh = tmp_path / "bids" / "sub-P01" / "beh"
-    tracks = json.loads((beh / "sub-P01_task-pair_beh.json").read_text())["Staircases"]
-    assert [one["side"] for one in tracks] == ["softer", "harder"]
-    table = pd.read_csv(beh / "sub-P01_task-pair_beh.tsv", sep="\t").query("block == 2")
-    for track in tracks:
-        assert track["settles_at_share_right"] == pytest.approx(0.5**0.5)
-        assert track["ended"]
-        assert len(track["reversals_softness_difference"]) == 8
-        on_side = table[(table.softness_difference > 0) == (track["side"] == "softer")]
-        assert track["trials"] == len(on_side)
-        assert set(track["reversals_softness_difference"]) <= set(on_side.softness_difference.abs().round(9))
-        # two noises of 15 kPa: right in 70.7 % at 0.545 × 15 × √2 = 11.6 kPa; eight reversals are few
-        assert 3 < track["threshold_softness_difference"] < 35
 
 
 def test_a_rehearsal_is_exported_alone_and_says_so(exported, tmp_path) -> None:

@@ -11,7 +11,7 @@ import pytest
 from tests.refusals import refused
 
 from palpate.core import ExistsError, InputError, LabelError
-from palpate.psychophysics import Condition, Judgement, Presentation, Task
+from palpate.psychophysics import Judgement, Presentation, Task
 from palpate.psychophysics.experiments import (
     PRESETS,
     ExperimentDesign,
@@ -22,9 +22,7 @@ from palpate.psychophysics.experiments import (
 )
 from palpate.psychophysics.experiments.experiment_file import EXPERIMENT
 from palpate.psychophysics.experiments.trial_schedule import (
-    FixedBlock,
     allocation,
-    drawn_order,
     order_of_conditions,
     tracks_of,
     williams_rows,
@@ -74,41 +72,6 @@ def test_fifteen_participants_are_five_a_group_with_conditions_balanced_over_pla
     assert {tuple(sorted(row)) for row in first} == {("C", "I", "K")}
 
 
-def test_of_two_presentations_each_comes_first_with_every_order_of_conditions(report) -> None:
-    alone = report.file.group[2].model_copy(update={"participants": 12})
-    file = report.file.model_copy(update={"group": (alone,)})
-    orders = Counter()
-    for n in range(1, 13):
-        (first, *_), *rest = order_of_conditions(file, n)
-        assert [one for one, _ in rest] == [first] * 2 + [p for p in Presentation if p is not first] * 3
-        orders[first, tuple(c for _, c in order_of_conditions(file, n))[:3]] += 1
-    assert len(orders) == 12
-    assert set(orders.values()) == {1}
-
-
-def test_the_next_participant_after_all_places_begins_the_round_again(report) -> None:
-    assert [allocation(report.file, n)[0] for n in range(16, 31)] == [
-        allocation(report.file, n)[0] for n in range(1, 16)
-    ]
-    assert allocation(report.file, 16)[1] == 5
-
-
-def test_a_direct_participant_of_the_report_has_its_trials(report) -> None:
-    number = next(n for n in range(1, 16) if allocation(report.file, n)[0] == 0)
-    trials = answered(
-        make_schedule(report, number), lambda shown, task: shown if task is Task.RANK else shown[:1]
-    )
-    assert len(trials) == 3 * (3 * 4 + 3)
-    for condition in Condition:
-        pairs = [one for one in trials if one.condition is condition and one.task is Task.PAIR]
-        against = Counter(next(n for n in one.presented if n != "SS3") for one in pairs)
-        assert against == {"SS1": 3, "SS2": 3, "SS4": 3, "SS5": 3}
-        assert all("SS3" in one.presented for one in pairs)
-        ranks = [one for one in trials if one.condition is condition and one.task is Task.RANK]
-        assert [sorted(one.presented) for one in ranks] == [[f"SS{k}" for k in range(1, 6)]] * 3
-    assert len({one.key for one in trials}) == len(trials)
-
-
 def test_the_standard_is_first_in_half_of_a_block_and_of_each_pair_in_two_blocks(report) -> None:
     for number in range(1, 16):
         blocks = [b for b in make_schedule(report, number).blocks if b.task is Task.PAIR]
@@ -117,13 +80,6 @@ def test_the_standard_is_first_in_half_of_a_block_and_of_each_pair_in_two_blocks
             firsts = [{t[1]: True for t in b.trials if t[0] == standard} for b in three]
             assert [len(one) for one in firsts] == [2, 2, 2]
             assert not set(firsts[0]) & set(firsts[1]), "whatever came second comes first in the next block"
-
-
-def test_orders_are_drawn_evenly() -> None:
-    orders = Counter(tuple(drawn_order("abc", seed)) for seed in range(6000))
-    assert len(orders) == 6
-    chi_squared = sum((one - 1000) ** 2 / 1000 for one in orders.values())
-    assert chi_squared < 20.5  # the 99.9th percentile of 5 degrees of freedom
 
 
 def test_a_schedule_is_a_function_of_design_seed_and_number_alone(report, tmp_path) -> None:
@@ -264,21 +220,3 @@ def test_a_flat_is_as_stiff_as_its_level_says(path: str, old: str, new: str, tmp
     (folder / path).write_text(text.replace(old, new))
     with refused("object-level", InputError, match=r"stimuli\.csv"):
         read_design(folder)
-
-
-def test_comments_may_change_and_nothing_else(tmp_path: Path) -> None:
-    folder = make_experiment(tmp_path / "study", "bianchi-2010", 5).folder
-    before = read_design(folder).digests
-    path = folder / EXPERIMENT
-    path.write_text("# a comment\n" + path.read_text())
-    assert read_design(folder).digests == before
-    path.write_text(path.read_text().replace("repeats = 3", "repeats = 4", 1))
-    (folder / "objects" / "SH1-I.toml").write_text("another")
-    after = read_design(folder).digests
-    assert {one for one in before if before[one] != after[one]} == {EXPERIMENT, "objects/SH1-I.toml"}
-
-
-def test_a_fixed_block_gives_nothing_after_its_last_trial() -> None:
-    block = FixedBlock(Presentation.DIRECT, Condition.INTEGRATED, Task.PAIR, 1, (("a", "b"),))
-    assert block.next([]) == ("a", "b")
-    assert block.next(["a"]) is None

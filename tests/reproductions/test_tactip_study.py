@@ -15,18 +15,14 @@ from palpate.core.errors import ExistsError, InputError
 from palpate.psychophysics import fit_line
 from palpate.rig.virtual.linear_rig import LINEAR_RIG
 from palpate.sensors.tactip import tactip
-from palpate.workflows.tactip_trials import record_press
-from palpate_reproductions import tactip as tactip_package
 from palpate_reproductions.tactip import tactip_reproduction as study
-from palpate_reproductions.tactip.tactip_conditions import order
-from palpate_reproductions.tactip.tactip_reproduction import CUES, entry, reproduce_tactip
+from palpate_reproductions.tactip.tactip_reproduction import CUES, reproduce_tactip
 from palpate_reproductions.tactip.tactip_setup import (
     KAPPA,
     KAPPA_NEW,
     NAMES,
     Experiment,
     kappa_n_m,
-    press_table_of,
     stiffness_line,
     under_plate,
 )
@@ -101,13 +97,6 @@ def test_the_page_holds_its_figures_and_no_nan(upright) -> None:
 
 
 @pytest.mark.slow
-def test_progress_is_told_of_every_press(upright) -> None:
-    _, _, told = upright
-    presses = [(done, total) for what, done, total in told if what == "presses at 0 degrees"]
-    assert presses == [(i + 1, 16) for i in range(16)]  # 2 rigid, 3 x 4, 2 new
-
-
-@pytest.mark.slow
 def test_a_study_is_never_overwritten_and_needs_two_trials(upright, tmp_path) -> None:
     out, _, _ = upright
     with pytest.raises(ExistsError):
@@ -118,40 +107,6 @@ def test_a_study_is_never_overwritten_and_needs_two_trials(upright, tmp_path) ->
     result = CliRunner().invoke(app, ["reproduce", "tactip", "--out", str(out)])
     assert result.exit_code == 2
     assert result.stderr.count("\n") == 1
-
-
-def test_a_stopped_study_leaves_nothing(tmp_path) -> None:
-    def stop(what: str, done: int, total: int) -> None:
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        reproduce_tactip(tmp_path / "a", trials=2, progress=stop)
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.slow
-def test_the_verb_says_that_it_is_virtual(upright, monkeypatch, tmp_path) -> None:
-    _, entries, _ = upright
-    asked = {}
-    monkeypatch.setattr(tactip_package, "reproduce_tactip", lambda out, **how: asked.update(how) or entries)
-    words = ["reproduce", "tactip", "--out", str(tmp_path / "a"), "--trials", "2", "--seed", "3", "--quiet"]
-    said = CliRunner().invoke(app, words)
-    assert said.exit_code == 0, said.output + said.stderr
-    assert "Virtual sensor" in said.output
-    assert "printed: 4.99" in said.output
-    assert (asked["trials"], asked["seed"]) == (2, 3)
-    assert json.loads(CliRunner().invoke(app, [*words, "--json"]).stdout) == entries
-
-
-def test_a_specimen_under_a_rigid_plate_has_the_stiffness_it_was_given() -> None:
-    for name in NAMES:
-        plate = under_plate(tactip(), name, 3, seed=5)
-        for line in plate.lines:
-            assert_allclose(line.slope, kappa_n_m(name), rtol=0.02)
-            assert line.adjusted_r2 > 0.99
-        # the force sensor's steps
-        assert_allclose(plate.force_n % 0.0625, 0, atol=1e-9)
-    assert kappa_n_m("rigid") == np.inf
 
 
 def test_on_the_linear_rig_the_encoder_has_the_stiffness_and_the_command_the_droop_in_series() -> None:
@@ -169,27 +124,6 @@ def test_on_the_linear_rig_the_encoder_has_the_stiffness_and_the_command_the_dro
         assert_allclose(ideal.slope, kappa, rtol=0.02)
 
 
-@pytest.mark.slow
-def test_the_linear_rig_is_a_condition_of_the_study(upright) -> None:
-    out, entries, _ = upright
-    at = "linear rig: stiffness of S1 by a rigid plate, over the"
-    assert_allclose(number(entries, f"{at} encoder's displacement"), 7.6, rtol=0.01)
-    found = number(entries, f"{at} commanded displacement")
-    assert_allclose(found, number(entries, f"{at} commanded displacement, by 1/kappa + 1/Kp"), rtol=0.01)
-    assert found < 5
-    ranked = "0 degrees, linear rig: secant over the disc, softest over stiffest, concordance"
-    assert number(entries, ranked) > 0.8
-    assert "1/Kp" in (out / "report.html").read_text(encoding="utf-8")
-
-
-def test_a_trial_has_the_table_that_its_files_would_hold() -> None:
-    made = record_press(tactip(), "S1=7.6", 2)
-    table = press_table_of(made)
-    assert table.force_n is made.raw_n
-    assert len(table.frame_sample) == len(made.frame_sample)
-    assert_allclose(table.area_m2[-1], made.true_area_m2[-1])
-
-
 def test_a_line_is_through_the_references_and_read_at_the_new_specimen() -> None:
     told = object.__new__(Experiment)  # of an experiment the table alone counts
     table = {
@@ -201,20 +135,6 @@ def test_a_line_is_through_the_references_and_read_at_the_new_specimen() -> None
     assert_allclose(new, 13.0)
     same = fit_line(np.array([10.0, 20.0, 30.0]), np.array([7.6, 3.1, 1.1]))
     assert_allclose((line.slope, line.start), (same.slope, same.start))
-
-
-@pytest.mark.parametrize(
-    ("values", "said"), [((1, 2, 3, 4), "right"), ((4, 3, 2, 1), "reversed"), ((1, 3, 2, 4), "mixed")]
-)
-def test_the_order_of_a_cue_is_said(values, said) -> None:
-    assert order(values) == said
-
-
-def test_what_is_not_finite_is_no_number() -> None:
-    assert entry("a", np.inf, "1")["value"] is None
-    assert entry("a", np.float64(2.0), "1") == {
-        "name": "a", "value": 2.0, "unit": "1", "published": None, "source": "", "why": ""
-    }  # fmt: skip
 
 
 @pytest.mark.slow

@@ -38,11 +38,6 @@ def test_rings_step_around_their_cone_and_meet_it_as_they_grow_finer() -> None:
     assert_allclose(steps, math.pi * (6.5e-3 * np.arange(1, 5) / 4) ** 2)
 
 
-def test_the_way_to_an_area_leads_back_to_it() -> None:
-    cone = ConeDisplay(8e-3, 5e-3)
-    assert_allclose(cone.pushed_m(cone.area_m2(0.8 * WAY)), 0.8 * WAY, atol=1e-15)
-
-
 @pytest.mark.parametrize("way_m", [-1e-6, 10.1e-3, math.nan])
 def test_ways_that_the_tip_cannot_go_are_refused(way_m: float) -> None:
     with refused("way", RangeError, match="10 mm"):

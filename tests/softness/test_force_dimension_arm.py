@@ -12,7 +12,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from tests.fakes.fake_force_dimension import VELOCITY, ArmFaults, FakeForceDimension, _Dhd, _Expert
 from tests.refusals import refused
@@ -97,11 +96,6 @@ def test_the_watchdog_is_whole_ticks_and_never_longer_than_asked(asked_s: float,
     assert arm.range.watchdog_s <= asked_s + 1e-12
 
 
-def test_its_range_is_what_was_stated() -> None:
-    found = opened()[0].range
-    assert (found.least_m, found.greatest_m, found.force_n, found.watchdog_s) == (-0.02, 0.03, 8.0, 0.02)
-
-
 @pytest.mark.parametrize(
     "wrong",
     [
@@ -130,12 +124,6 @@ def test_where_there_is_no_arm_it_says_what_to_check() -> None:
         opened(faults=ArmFaults(absent=True))
     with refused("arm-not-found", DeviceError, match="41"):
         opened(replace(SPEC, serial=41), faults=ArmFaults(absent=True))
-
-
-def test_the_arm_of_a_serial_number_is_opened() -> None:
-    _, fake, _ = opened(replace(SPEC, serial=41))
-    assert fake.calls[0] == ("openSerial", (41,))
-    assert "open" not in fake.counts
 
 
 def test_an_arm_whose_places_mean_nothing_is_refused_and_let_go() -> None:
@@ -215,17 +203,6 @@ def test_the_guide_pulls_back_with_its_spring_and_damper() -> None:
     x, y = spec.guide_force_n((30e-3, -40e-3), (0.0, 0.0))
     assert math.hypot(x, y) == pytest.approx(10.0)
     assert (x, y) == pytest.approx((-6.0, 8.0))
-
-
-@pytest.mark.parametrize(("axis", "across"), [("x", (1, 2)), ("y", (0, 2)), ("z", (0, 1))])
-def test_the_guide_acts_across_the_press_alone(axis: Any, across: tuple[int, int]) -> None:
-    place = [at + 2e-3 for at in ZERO_M]
-    arm, fake, _ = opened(replace(SPEC, press_axis=axis), (place[0], place[1], place[2]))
-    arm.release()
-    expected = [0.0, 0.0, 0.0]
-    for one in across:
-        expected[one] = -1.0  # 500 N/m by 2 mm
-    assert fake.force_n == pytest.approx(expected, abs=1e-6)
 
 
 @pytest.mark.parametrize("mass_kg", [0.1, 0.3, 1.0])
@@ -337,18 +314,6 @@ def test_a_place_that_is_no_number_brakes_and_raises() -> None:
         arm.set_force(0.0)
 
 
-def test_a_look_after_a_pause_waits_for_two_places_and_not_for_ever() -> None:
-    arm, fake, clock = opened()
-    clock.sleep(5.0)
-    before_ns = clock.ns
-    assert arm.latest().velocity_m_s == 0.0
-    assert 1e6 <= clock.ns - before_ns <= 3e6
-    fake.faults.fails["getLinearVelocity"] = 1
-    fake.faults.stays = True
-    with pytest.raises(DeviceError, match="getLinearVelocity failed"):
-        arm.latest()
-
-
 # Every code
 
 
@@ -386,20 +351,6 @@ def test_no_call_of_any_function_may_fail_unseen(name: str, which: str) -> None:
     clock.sleep(0.05)
     fake.catch_up()
     assert not fake.enabled  # braked, or its watchdog ran out
-
-
-@pytest.mark.parametrize("name", ["getPosition", "getLinearVelocity", "getStatus", "setForce"])
-def test_one_call_that_fails_brakes_the_arm_and_says_which(name: str) -> None:
-    arm, fake, clock = opened(push=holding())
-    arm.release()
-    pressed(arm, clock, 1.0, 0.01)
-    fake.faults.fails[name] = fake.counts[name] + 1
-    with refused("arm-fault", DeviceError, match=str(name)):
-        pressed(arm, clock, 1.0, 0.01)
-    assert fake.braked
-    assert f"{name} failed" in arm.latest().fault
-    arm.release()
-    assert set(pressed(arm, clock, 1.0, 0.01)) == {""}
 
 
 def test_a_brake_that_is_not_taken_raises_and_leaves_the_rest_to_the_watchdog() -> None:
@@ -484,9 +435,6 @@ def test_closing_brakes_lets_go_and_does_nothing_again() -> None:
 # The true library
 
 
-OFF_CAUSES = ("BUTTON", "VELOCITY", "WATCHDOG", "USBDISCN", "DEADMAN")
-
-
 def defined(path: Path) -> dict[str, list[str]]:
     """Functions of a module's source and their arguments."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
@@ -521,9 +469,3 @@ def test_every_call_of_the_fake_is_one_of_the_true_library() -> None:
     fields = (root / "containers/__init__.py").read_text(encoding="utf-8")
     for name in ("power", "connected", "started", "reset", "error", "force", "brake", "forceoffcause"):
         assert f"('{name}', c_int)" in fields
-
-
-def test_every_function_that_a_session_calls_is_compared_with_the_true_library() -> None:
-    offered = {name for kind in (_Dhd, _Expert) for name in vars(kind) if not name.startswith("_")}
-    assert set(COUNTED) <= offered
-    assert np.sum(list(COUNTED.values())) > 100

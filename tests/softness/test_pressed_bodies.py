@@ -14,7 +14,7 @@ from tests.refusals import refused
 from palpate.calibration.compliance.press_cues import reading_record
 from palpate.core import InputError, PalpateError, RangeError, Reading, UnitError
 from palpate.mechanics.half_space.hertz_pairs import Body
-from palpate.softness import SoftObject, SpecimenClass, read_object, specimen_object, specimens
+from palpate.softness import SoftObject, read_object
 
 FINGER = Body(75e3 / 0.75, 15e-3)
 HERTZ = """
@@ -112,21 +112,6 @@ def test_a_finger_alone_is_on_a_rigid_flat(tmp_path: Path) -> None:
     assert_allclose(soft.greatest_n, 2.4)
 
 
-def test_constants_of_the_exponential_are_in_the_units_of_their_keys(tmp_path: Path) -> None:
-    soft = from_text(tmp_path, EXPONENTIAL)
-    assert_allclose(soft.displacement.at_force(1.0), math.log(11) / 1.5 * 1e-3, rtol=1e-4)
-    assert_allclose(soft.area.at_force(1.0), 80e-6, rtol=1e-4)
-    assert "as given" in soft.source
-
-
-def test_a_tabulated_tip_at_its_own_size_and_moduli_is_its_table(tmp_path: Path) -> None:
-    from palpate.mechanics.axisymmetric.tip_table import tip_table
-
-    soft, press = from_text(tmp_path, TIP), tip_table("base").press(math.inf)
-    assert_allclose(soft.displacement.at_force(FORCES), press.at("approach_m", FORCES), rtol=1e-4)
-    assert_allclose(soft.area.at_force(FORCES), press.at("area_m2", FORCES), rtol=1e-4)
-
-
 def test_a_material_is_a_flat_of_its_modulus(tmp_path: Path) -> None:
     soft = from_text(tmp_path, HERTZ + SILICONE)
     check_hertz(soft, Body(150e3 / (1 - 0.49**2), math.inf).against(FINGER))
@@ -146,15 +131,6 @@ def test_a_measured_stiffness_is_of_a_cylinder_that_sticks_to_its_plates(tmp_pat
     E = 5e3 * 40e-3 / (math.pi * 20e-3**2) / (1 + 2 * 0.25**2)
     check_hertz(soft, Body(E / 0.75, math.inf).against(FINGER))
     assert "N_per_mm (4" in soft.source
-
-
-def test_a_specimen_is_that_of_its_class_and_number(tmp_path: Path) -> None:
-    one = specimens(SpecimenClass.MIRRORED, [8e5, 5e5, 3e5, 1.5e5, 1e5], 0.499)[1]
-    soft, own = from_text(tmp_path, SPECIMEN), specimen_object(one, FINGER, 1.5)
-    assert soft.name == own.name
-    assert_allclose(soft.area.x, own.area.x)
-    assert_allclose(soft.displacement.x, own.displacement.x)
-    assert from_text(tmp_path, 'name = "mine"\n' + SPECIMEN).name == "mine"
 
 
 @pytest.mark.parametrize(

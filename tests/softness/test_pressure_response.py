@@ -9,14 +9,7 @@ import numpy as np
 import pytest
 from tests.refusals import refused
 
-from palpate.core import (
-    DeviceError,
-    DisplayRange,
-    DisplaySample,
-    InputError,
-    ManualClock,
-    RangeError,
-)
+from palpate.core import DeviceError, DisplayRange, DisplaySample, InputError, ManualClock, RangeError
 from palpate.softness.pressure_response import PressureResponse, measure_pressure_response
 
 LAG_S, DELAY_S = 10e-3, 2e-3

@@ -8,13 +8,12 @@ from hypothesis import given, strategies as st
 from numpy.testing import assert_allclose
 from tests.refusals import refused
 
-from palpate.core import InputError, RangeError
-from palpate.mechanics.half_space.hertz_pairs import Body, alike_to_the_arm
+from palpate.core import RangeError
+from palpate.mechanics.half_space.hertz_pairs import Body
 from palpate.softness import (
     Characteristic,
     DisplayBounds,
     Limit,
-    Mode,
     RenderingLaw,
     SoftObject,
     hertz_object,
@@ -84,25 +83,6 @@ def test_both_cues_of_a_ball_are_met_wherever_it_is_rendered() -> None:
     assert_allclose(both.approach_m(state.force_n[good]), state.displacement_m[good], rtol=2e-3)
 
 
-def test_changing_one_curve_leaves_the_other_cue_as_it_was() -> None:
-    one = ball()
-    arm = SoftObject("other to the arm", one.area, Characteristic.from_law(
-        "displacement", lambda d: 3e2 * d + 1e5 * d**2, 8e-3), "")  # fmt: skip
-    states = [RenderingLaw(soft, bounds=WIDE).at(WAY[:900]) for soft in (one, arm)]
-    assert_allclose(states[0].force_n, states[1].force_n, rtol=1e-12)
-    assert np.abs(states[0].displacement_m - states[1].displacement_m).max() > 1e-4
-    stiffer = alike_to_the_arm(Body(5e4, 10e-3), FINGER, 4e4)
-    states = [
-        RenderingLaw(soft, bounds=WIDE).at(WAY)
-        for soft in (one, hertz_object("alike to the arm", stiffer, FINGER, 8.0))
-    ]
-    forces = np.linspace(0.3, 1.2, 20)
-    ways = [np.interp(forces, s.force_n[s.rendered], s.displacement_m[s.rendered]) for s in states]
-    areas = [np.interp(forces, s.force_n[s.rendered], s.area_m2[s.rendered]) for s in states]
-    assert_allclose(ways[0], ways[1], rtol=2e-3)
-    assert np.abs(areas[0] / areas[1] - 1).min() > 0.02
-
-
 def test_the_onset_meets_value_and_slope_and_force_rises_through_it() -> None:
     law = RenderingLaw(foam(), bounds=WIDE)
     A = law.onset.area_m2
@@ -130,21 +110,6 @@ def test_no_object_asks_for_more_than_the_bounds(zero_n, slope_n, square_n, pres
     assert np.abs(state.arm_m).max() <= 5e-3
     good = state.rendered
     assert_allclose(state.force_n[good], soft.area.force_at(state.area_m2[good]), rtol=1e-6)
-
-
-def test_the_cutaneous_mode_takes_back_the_displays_way() -> None:
-    state = RenderingLaw(ball(), bounds=WIDE, mode=Mode.CUTANEOUS).at(WAY)
-    assert_allclose(state.displacement_m, 0.0, atol=1e-15)
-    assert_allclose(state.force_n, RenderingLaw(ball(), bounds=WIDE).at(WAY).force_n)
-
-
-def test_the_kinesthetic_mode_is_a_plate_with_the_objects_force_over_displacement() -> None:
-    law = RenderingLaw(ball(), bounds=DisplayBounds(force_n=2.0), mode=Mode.KINESTHETIC)
-    d = np.linspace(0.0, float(law.object.displacement.x[-1]), 50)
-    both = Body(5e4, 10e-3).against(FINGER)
-    assert_allclose(law.plate_force(d), np.minimum(both.force_n(d), 2.0), atol=2e-5)
-    with pytest.raises(InputError, match="plate"):
-        law.at(1e-3)
 
 
 def test_each_limit_is_named() -> None:

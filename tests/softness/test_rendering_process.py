@@ -92,15 +92,6 @@ def test_a_virtual_finger_feels_the_object_and_another_within_a_second() -> None
     assert status.simulated
 
 
-def test_an_object_that_cannot_be_shown_is_refused_and_the_first_goes_on() -> None:
-    with RenderingSession(read_bench(None), BALL, Mode.BOTH) as session:
-        with refused("table-size", InputError):
-            session._link.ask("object", name="x", source="y")  # no piece was sent
-        time.sleep(0.2)
-        assert session.status().state == "renders"
-        assert session.status().object == "ball"
-
-
 def test_devices_of_one_s_own_are_opened_by_name_and_anybody_stops_them_by_the_bench_s(own) -> None:
     bench = own()
     assert not stop_by_name(bench.name)
@@ -230,15 +221,6 @@ def test_a_bench_s_file_that_cannot_be_is_refused_by_name(tmp_path: Path, text: 
     path.write_text(text)
     with refused(code, InputError):
         read_bench(path)
-
-
-def test_a_bench_without_a_name_has_its_file_s(tmp_path: Path) -> None:
-    path = tmp_path / "left-desk.toml"
-    path.write_text('[arm]\nkind = "tests.softness.own_bench:arm"\n')
-    assert read_bench(path).name == "left-desk"
-    assert not read_bench(path).simulated
-    path.write_text('name = "desk"\n[arm]\nkind = "tests.softness.own_bench:arm"\n')
-    assert read_bench(path).name == "desk"
 
 
 def test_a_mode_that_needs_a_display_is_refused_without_one(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ import math
 import pytest
 from tests.refusals import refused
 
-from palpate.core import InputError, RangeError
+from palpate.core import InputError
 from palpate.softness.real import HallTable, OffScaleError, PressureScale
 
 BENT = HallTable(volts=(2.5, 3.1, 4.5), pushed_mm=(0.0, 4.0, 10.0))
@@ -18,14 +18,6 @@ def test_a_table_is_straight_between_its_points(volts: float, pushed_mm: float) 
     assert BENT.pushed_m(volts) == pytest.approx(1e-3 * pushed_mm, abs=1e-12)
     falling = HallTable(volts=tuple(5.0 - v for v in BENT.volts), pushed_mm=BENT.pushed_mm)
     assert falling.pushed_m(5.0 - volts) == pytest.approx(1e-3 * pushed_mm, abs=1e-12)
-
-
-def test_a_table_goes_on_by_its_tolerance_at_the_slope_of_its_end() -> None:
-    assert BENT.pushed_m(2.5 - 0.0135) == pytest.approx(-0.09e-3)
-    assert BENT.pushed_m(4.5 + 0.021) == pytest.approx(10.09e-3)
-    for volts in (2.5 - 0.0165, 4.5 + 0.0257, math.nan, math.inf, -math.inf):
-        with pytest.raises(OffScaleError, match="displacement"):
-            BENT.pushed_m(volts)
 
 
 def test_a_table_that_begins_below_rest_does_not_excuse_readings_below_it() -> None:
@@ -62,29 +54,9 @@ def test_a_scale_leads_to_volts_and_back() -> None:
     assert scale.pressure_pa(scale.volts(37e3)) == pytest.approx(37e3)
 
 
-def test_a_scale_ends_at_its_tolerance() -> None:
-    scale = PressureScale(low_v=1.0, high_v=5.0, high_pa=100e3, tolerance_pa=1e3)
-    assert scale.pressure_pa(0.97) == pytest.approx(-750.0)
-    assert scale.pressure_pa(5.03) == pytest.approx(100750.0)
-    for volts in (0.95, 5.05, 0.0, math.nan):
-        with pytest.raises(OffScaleError, match="pressure"):
-            scale.pressure_pa(volts)
-
-
 @pytest.mark.parametrize(
-    "wrong",
-    [
-        {"low_v": 5.0, "high_v": 1.0},
-        {"high_pa": 0.0},
-        {"high_pa": math.nan},
-        {"tolerance_pa": -1.0},
-    ],
+    "wrong", [{"low_v": 5.0, "high_v": 1.0}, {"high_pa": 0.0}, {"high_pa": math.nan}, {"tolerance_pa": -1.0}]
 )
 def test_a_scale_that_is_none_is_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(InputError):
         PressureScale(**{"low_v": 1.0, "high_v": 5.0, "high_pa": 1e5, **wrong})
-
-
-def test_a_negative_tolerance_is_refused() -> None:
-    with pytest.raises(RangeError, match="tolerance"):
-        HallTable((2.5, 4.5), (0.0, 10.0), tolerance_mm=-0.1)

@@ -16,9 +16,9 @@ from typer.testing import CliRunner
 
 from palpate.cli import app
 from palpate.core import InputError, RangeError
-from palpate.mechanics.fingertip_laws import hertz_fingertip, on_flat
+from palpate.mechanics.fingertip_laws import hertz_fingertip
 from palpate.mechanics.half_space.hertz_pairs import Body
-from palpate.softness import Mode, read_object
+from palpate.softness import read_object
 from palpate.softness.rendering_simulation import simulate
 from palpate.softness.touched_flat import Cylinder, TouchedFlat, read_touched_flat
 from palpate.softness.transmission import (
@@ -29,12 +29,7 @@ from palpate.softness.transmission import (
     transmit,
     transmitted_cues,
 )
-from palpate.softness.transmission.transmitted_cues import (
-    SOFTEST,
-    felt_factor,
-    modulus_of_chord,
-    object_under,
-)
+from palpate.softness.transmission.transmitted_cues import modulus_of_chord, object_under
 
 FINGER = hertz_fingertip(Body(30e3 / 0.75, 15e-3))
 OFTEN = 2.0  # presses a second, whose renderings are short
@@ -132,49 +127,6 @@ def test_how_fast_the_finger_presses_is_in_the_interval(two) -> None:
     wide = two[0].cues["displacement"]
     low, high = wide.interval()
     assert high - low > 0.05 * wide.felt
-
-
-@pytest.mark.slow
-def test_a_display_of_half_the_force_is_seen_by_the_object_itself_and_not_by_the_interval(
-    monkeypatch,
-) -> None:
-    """What the interval is of goes through the same display; only the object itself tells of its bias."""
-    monkeypatch.setattr(transmitted_cues, "simulate", simulate)  # at few presses hardly enough is rendered
-    plain = felt_factor
-    monkeypatch.setattr(transmitted_cues, "felt_factor", lambda *a, **k: 0.5 * plain(*a, **k))
-    halved = transmit("h", flat(100), FINGER, peak_n=0.3, true_flat_pa=100e3, draws=100, frequency_hz=OFTEN)
-    for cue in halved.cues.values():
-        assert cue.held
-        assert not cue.true_held
-        assert cue.lost["display"] == pytest.approx(-0.5, abs=0.03)
-
-
-@pytest.mark.parametrize("radius_mm", [8.0, 15.0])
-def test_no_draw_is_softer_than_the_force_that_all_can_be_pressed_to_allows(radius_mm) -> None:
-    finger = hertz_fingertip(Body(20e3 / 0.75, 1e-3 * radius_mm))
-    one = flat(50, 0.7, 1.6)
-    peak = shared_peak_n(finger, [one])
-    drawn = one.drawn(4000, np.random.default_rng(0), SOFTEST)
-    assert on_flat(finger, float(drawn.min())).greatest_n >= peak * (1 - 1e-9)
-    if radius_mm == 8.0:  # there the finger ends before the display does
-        with pytest.raises(RangeError):
-            object_under(finger, 0.9 * float(drawn.min()), peak)
-
-
-def test_a_reading_without_an_interval_is_felt_as_one_value(one_frequency) -> None:
-    sure = transmit("s", flat(100, 1.0, 1.0), FINGER, peak_n=0.3, draws=100, frequency_hz=OFTEN)
-    low, high = sure.cues["displacement"].interval()
-    assert sure.cues["displacement"].felt == pytest.approx((low + high) / 2, rel=0.01)
-
-
-def test_a_rendering_with_a_tenth_more_force_has_a_factor_of_a_tenth_more() -> None:
-    soft = object_under(FINGER, 100e3, 0.4)
-    felt = simulate(soft, Mode.BOTH, peak_n=0.4)
-    for cue in ("displacement", "area"):
-        x = felt.displacement_m if cue == "displacement" else felt.area_m2
-        curve = getattr(soft, cue)
-        exact = replace(felt, force_n=1.1 * np.interp(x, curve.x, curve.force_n))
-        assert felt_factor(exact, cue) == pytest.approx(1.1, rel=1e-3)
 
 
 def test_the_modulus_of_a_chord_gives_it_back_and_none_is_stiffer_than_rigid() -> None:
@@ -275,17 +227,3 @@ def test_the_verb_renders_readings_writes_a_page_and_objects_and_overwrites_noth
         assert said.exit_code == 2
         assert text in " ".join(said.output.split())
         assert not (tmp_path / "other").exists()
-
-
-@pytest.mark.slow
-def test_a_touch_on_virtual_devices_is_felt_live_too(tmp_path) -> None:
-    out = tmp_path / "loop"
-    words = ["transmit", "study", "--finger", "30:15", "--seeds", "1", "--out", str(out), "--json", "--quiet"]
-    said = CliRunner().invoke(app, words)
-    assert said.exit_code == 0, said.output
-    told = json.loads(said.output)
-    assert told["study"]["felt_in_order"] == {"displacement": 1, "area": 1}
-    live = CliRunner().invoke(app, ["display", "run", "--object", str(out / "S2.toml"), "--seconds", "3",
-                                    "--peak-n", "0.2", "--json", "--quiet"])  # fmt: skip
-    assert live.exit_code == 0, live.output
-    assert json.loads(live.output)["peak_N"] > 0.1

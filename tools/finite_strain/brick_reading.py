@@ -26,7 +26,6 @@ class NodalField:
     """Values at the nodes of a grid of triquadratic bricks.
 
     Attributes:
-        knots: planes between bricks.
         values: at the planes and halfway between them ``[x y z c]``.
     """
 

@@ -64,10 +64,8 @@ class Bricks:
     """Bricks between knots along three coordinates.
 
     Attributes:
-        knots: of the three coordinates.
         place: from coordinates ``[n 3]`` to places [mm].
         youngs_modulus: of every cell, over the three coordinates [MPa].
-        poisson_ratio: of all.
         held: which of a node's three displacements are none, from its coordinates ``[n 3]``.
     """
 
@@ -131,11 +129,7 @@ class Bricks:
         return mu, 2 * mu * nu / (1 - 2 * nu)
 
     def balance(self, u: Motion) -> tuple[Float[ndarray, "cells 60"], Float[ndarray, "cells 60 60"]]:
-        """Forces of every cell on its nodes' displacements, and its stiffness.
-
-        Raises:
-            InsideOutError: the displacement turns a cell inside out.
-        """
+        """Forces of every cell on its nodes' displacements, and its stiffness."""
         (B, w), (mu, lame) = self._gradients, self._moduli
         F = np.eye(3) + np.swapaxes(u[self.nodes_of], 1, 2)[:, None] @ B
         J = np.linalg.det(F)

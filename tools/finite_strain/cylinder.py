@@ -22,13 +22,7 @@ GROWTH = 1.35  # of a cell's height over that of the one above it
 
 @dataclass(frozen=True)
 class Cylinder:
-    """A cylinder [mm, MPa].
-
-    Attributes:
-        mpa: Young's modulus.
-        across: cells along its diameter.
-        down: along its axis.
-    """
+    """A cylinder [mm, MPa]."""
 
     mpa: float
     poisson_ratio: float = 0.48

@@ -59,10 +59,7 @@ class Disc:
         first, last = self.dense
         inner = graded_inwards(self.cell, first, growth) if first else np.zeros(0)
         outer = first + graded(self.radius - first, self.cell, last - first, growth)
-        return (
-            np.concatenate([inner, outer]),
-            graded(self.thickness, self.cell, 3.0 * self.cell, growth),
-        )
+        return (np.concatenate([inner, outer]), graded(self.thickness, self.cell, 3.0 * self.cell, growth))
 
     @cached_property
     def mesh(self) -> MeshQuad:

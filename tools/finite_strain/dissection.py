@@ -28,7 +28,6 @@ class Part:
     Attributes:
         unknowns: of the front, first the `own` that are eliminated here.
         columns: of a single one its bricks' places in the front, -1 where held ``[bricks k]``; else None.
-        bricks: of a single column.
         halves: places in this front of what the two halves leave.
     """
 
@@ -93,11 +92,7 @@ class Dissection:
         self._divide((0, self._counts[0], 0, self._counts[1]))
 
     def factors(self, K: Float[ndarray, "e k k"]) -> Factors:
-        """Eliminate all unknowns.
-
-        Raises:
-            numpy.linalg.LinAlgError: the stiffness is not positive definite.
-        """
+        """Eliminate all unknowns."""
         left: dict[int, ndarray] = {}
         lowers, acrosses = [], []
         for i, (part, children) in enumerate(zip(self.parts, self._children, strict=True)):

@@ -26,7 +26,6 @@ class Elements:
 
     Attributes:
         unknowns: of each, -1 of those that are held.
-        stiffness: by these.
         group: of each, from 0.
     """
 
@@ -62,11 +61,7 @@ class Factors:
 
 
 def eliminated(kinds: list[Elements], size: int) -> Factors:
-    """Eliminate `size` unknowns of all elements together.
-
-    Raises:
-        numpy.linalg.LinAlgError: the stiffness is not positive definite.
-    """
+    """Eliminate `size` unknowns of all elements together."""
     groups = 1 + max(int(kind.group.max(initial=0)) for kind in kinds)
     first, last = _lives(kinds, size, groups)
     order = np.argsort(last, kind="stable")

@@ -188,11 +188,7 @@ class InclinedPress:
         return (float(x.min()), float(x.max())) if len(x) else (0.0, 0.0)
 
     def states(self) -> Iterator[Inclined]:
-        """Balance at ever greater approaches, in steps as long as Newton's method likes.
-
-        Raises:
-            ConvergenceError: even the shortest step fails.
-        """
+        """Balance at ever greater approaches, in steps as long as Newton's method likes."""
         past, step = [self.untouched()], FIRST_STEP
         while True:
             before = self.iterations

@@ -50,8 +50,6 @@ class Meeting:
 
     Attributes:
         places: unloaded (r, z) of all nodes of both bodies [mm].
-        skin: facets of the tip's outside.
-        top: facets of the specimen's top.
     """
 
     places: Float[ndarray, "nodes 2"]

@@ -73,11 +73,7 @@ class Press:
         )
 
     def through(self, depths: Iterable[float]) -> Iterator[Balanced]:
-        """Balance at each of the ascending depths, by shorter steps where a step does not converge.
-
-        Raises:
-            ConvergenceError: even the shortest step fails; the depths before it have been given.
-        """
+        """Balance at each of the ascending depths, by shorter steps where a step does not converge."""
         past = [self.untouched()]
         for depth in depths:
             step = depth - past[-1].depth

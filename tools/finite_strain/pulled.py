@@ -210,10 +210,7 @@ class Pull:
 
     @cached_property
     def _compliance(self) -> tuple[ndarray, ndarray, ndarray]:
-        """Lag of the touching points behind the sphere: by its shift of 1 without friction, and by tractions.
-
-        Also the states that the tractions make, in columns.
-        """
+        """Lag of the touching points behind the sphere."""
         weight = np.repeat(self._bases[2], 2)
         free = self.solved(self._springs @ self._aside)
         states = self.solved(self._spread.toarray())
@@ -255,11 +252,7 @@ class Pull:
         return values + 1.0 / TANGENT, vectors
 
     def _limited(self, lag: Points, bound: Points) -> Points:
-        """Tractions q of the least q.A q / 2 + q.lag within their bounds.
-
-        Directions are alternated with multipliers between the quadratic form and the bounds (S. Boyd et al.,
-        2011, doi:10.1561/2200000016).
-        """
+        """Tractions q of the least q.A q / 2 + q.lag within their bounds."""
         values, vectors = self._principal
         root = np.sqrt(np.repeat(self._bases[2], 2))
         lag, most = root * lag, bound * np.sqrt(2.0 * self._bases[2])

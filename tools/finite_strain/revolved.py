@@ -31,13 +31,7 @@ class InsideOutError(Exception):
 
 @dataclass(frozen=True)
 class Revolved:
-    """A mesh of the meridian half-plane and the elasticity of its cells.
-
-    Attributes:
-        mesh: in (r, z).
-        youngs_modulus: of every cell.
-        poisson_ratio: of all.
-    """
+    """A mesh of the meridian half-plane and the elasticity of its cells."""
 
     mesh: MeshQuad2
     youngs_modulus: Float[ndarray, " cells"]
@@ -103,11 +97,7 @@ class Revolved:
         return np.linalg.solve(mass, np.einsum("cq,qa->caq", self.weight, N))
 
     def strained(self, u: Displacement) -> tuple[Float[ndarray, "cells q 5"], Float[ndarray, "cells q"]]:
-        """Displacement gradient and pressure at every quadrature point.
-
-        Raises:
-            InsideOutError: the displacement turns a cell inside out.
-        """
+        """Displacement gradient and pressure at every quadrature point."""
         H = (self.gradient @ _flat(u[self.nodes_of])[:, None, :, None])[..., 0]
         J = volume_ratio(deformation(H))
         if not (J > 0).all():
@@ -116,11 +106,7 @@ class Revolved:
         return H, p
 
     def balance(self, u: Displacement) -> tuple[Float[ndarray, "cells 18"], Float[ndarray, "cells 18 18"]]:
-        """Forces of every cell on its nodes' displacements, and its stiffness.
-
-        Raises:
-            InsideOutError: the displacement turns a cell inside out.
-        """
+        """Forces of every cell on its nodes' displacements, and its stiffness."""
         H, p = self.strained(u)
         P, A, JG, _ = first_piola(self.mu, H, p)
         B, w = self.gradient, self.weight[..., None, None]

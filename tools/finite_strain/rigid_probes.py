@@ -39,8 +39,6 @@ class RoundedPrism:
     """A prism along x, of a length over all, all its edges rounded.
 
     Attributes:
-        length: over all.
-        rounding: radius of the rounded edges.
         radius: of a lying cylinder; 0 for an edge.
         slope: of an edge's sides against the skin [rad].
     """

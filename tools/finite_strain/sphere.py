@@ -46,7 +46,6 @@ def touch(
     Args:
         x: deformed places (r, z) of the top's points [R].
         depth: of the sphere's lowest point below the unloaded surface [R].
-        friction: Coulomb's coefficient; 0 for none.
         anchor: angles that the springs along the meridian hold to; NaN where none is attached yet.
         normal: stiffness of the springs along the normal [E/R]. Below about p^2 / (mu cell) the top wrinkles
             at the size of the cells: its tilt between the springs then releases more work than they hold.

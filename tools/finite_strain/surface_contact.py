@@ -49,7 +49,6 @@ class Below:
     Attributes:
         facet: of the top; -1 beside it.
         gap: inf there [mm].
-        normal: (-dh/dx, -dh/dy, 1).
         skewed: derivatives of the place on the facet by the point's x and y.
         shapes: of the facet's nodes there, see `facet_shapes`.
         bend: second derivatives along the facet of z - slope . (x, y).

@@ -52,7 +52,6 @@ class Specimen:
     Attributes:
         mpa: Young's modulus, `inf` for a rigid one.
         height: on the axis; of a layer its thickness.
-        radius: of the cylinder.
         dome: radius of curvature of the top, `inf` for a flat one; no less than `radius`.
     """
 
@@ -181,11 +180,7 @@ class TipPress:
         return Balanced(0.0, u, self.meeting.touch(u, self.meeting.free), self.meeting.free)
 
     def through(self, approaches: Iterable[float]) -> Iterator[Balanced]:
-        """Balance at each of the ascending approaches [mm], by shorter steps where one does not converge.
-
-        Raises:
-            ConvergenceError: even the shortest step fails.
-        """
+        """Balance at each of the ascending approaches [mm], by shorter steps where one does not converge."""
         now = self.untouched()
         for approach in approaches:
             step = approach - now.approach

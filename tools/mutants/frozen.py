@@ -28,11 +28,9 @@ class Mutant:
     Attributes:
         id: m00 and on; n0 and on for those found by hand.
         area: of the code, such as `parsers`.
-        module: dotted name of the module.
         function: qualified name of the function, or `TOP`.
         line: text of the line, without its indentation.
         occurrence: which of the equal lines within the function it is, from 0.
-        mutated: text that stands there instead.
         kind: sign, constant, comparison, dropped term or swapped axis.
         tests: the nearest tests, paths from the repository's root.
         equivalent: why no test can tell it from the original; empty where one must.
@@ -55,11 +53,7 @@ class Mutant:
         return path_of(self.module)
 
     def applied(self, source: str) -> str:
-        """The module's source with the line changed.
-
-        Raises:
-            LookupError: no such function, or no such line in it.
-        """
+        """The module's source with the line changed."""
         lines = source.splitlines(keepends=True)
         number = _found(source, self.function, self.line, self.occurrence)
         lines[number] = lines[number].replace(self.line, self.mutated, 1)

@@ -19,9 +19,7 @@ class Oracle:
 
     Attributes:
         name: what is verified, in the page's words.
-        against: what it is compared with.
         allowed: the greatest error that passes; relative where the name gives no unit.
-        error: computes the error.
         needs: a package that the comparison needs and palpate does not.
     """
 

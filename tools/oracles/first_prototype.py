@@ -65,12 +65,8 @@ def from_below(contact: Contact, spec: PalmSpec, pixels: int = 300) -> FromBelow
     """The prototype's picture of a ball's contact, without noise.
 
     Args:
-        contact: of the spec's ball.
         spec: the palm; its views and mirror play no part.
         pixels: along each side of the picture.
-
-    Raises:
-        InputError: a contact of another probe, or with lateral load.
     """
     _check_round(contact, spec)
     axis = (np.arange(pixels) + 0.5 - pixels / 2) * spec.diameter_m / pixels
@@ -113,11 +109,7 @@ def quality_below(contact: Contact, spec: PalmSpec) -> Quality:
 
 
 def quality_edge_on(contact: Contact, spec: PalmSpec) -> Quality:
-    """Quality of the folded path's picture.
-
-    Raises:
-        InputError: see `from_below`.
-    """
+    """Quality of the folded path's picture."""
     _check_round(contact, spec)
     light, _ = render_clean(contact, spec)
     depth = contact.pose.depth_m

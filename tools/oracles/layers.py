@@ -51,10 +51,7 @@ def three_layers() -> float:
 
 
 def _plane_strain(stack: Stack, k: float, z: float) -> ndarray:
-    """U, W, T, S at depth z under a unit wave of pressure, plane strain, bonded to a floor.
-
-    Motion is (U sin kx, W cos kx) and the stresses on a plane are s_xz = T sin kx, s_zz = S cos kx.
-    """
+    """U, W, T, S at depth z under a unit wave of pressure, plane strain, bonded to a floor."""
 
     def down(to: float) -> ndarray:
         through, top = np.eye(4), 0.0

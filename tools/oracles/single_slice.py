@@ -21,13 +21,7 @@ Stress = Float[ndarray, "*n"]
 
 @dataclass(frozen=True, slots=True)
 class SingleSliceError:
-    """Error of the one-slice image against the marched one, in transmitted fraction (0 to 1).
-
-    Attributes:
-        rms: root of the mean square.
-        percentile_99_9: of the absolute difference.
-        largest: of the absolute difference.
-    """
+    """Error of the one-slice image against the marched one, in transmitted fraction (0 to 1)."""
 
     rms: float
     percentile_99_9: float
@@ -46,10 +40,7 @@ def single_slice(
 
     Args:
         difference_pa: s_xx - s_zz in the mid-plane y = 0 [Pa].
-        shear_pa: 2 s_xz there [Pa].
         path_m: d, the path that is assumed [m]; the skin's width is what is usually taken.
-        coefficient_per_pa: C [1/Pa].
-        wavelength_m: in vacuum [m].
         polariser_rad: from x towards z [rad].
     """
     for name, value, unit in (
@@ -70,7 +61,6 @@ def best_path(
 
     Args:
         difference_pa: s_xx - s_zz in the mid-plane [Pa].
-        shear_pa: 2 s_xz there [Pa].
         summed_difference: int (s_xx - s_zz) dy [Pa m].
         summed_shear: int 2 s_xz dy [Pa m].
     """
@@ -81,11 +71,7 @@ def best_path(
 
 
 def single_slice_error(baseline: Stress, marched: Stress) -> SingleSliceError:
-    """The baseline's error against the marched image of the same scene.
-
-    Raises:
-        InputError: images of unequal shape, empty, or with NaN.
-    """
+    """The baseline's error against the marched image of the same scene."""
     if baseline.shape != marched.shape or baseline.size == 0:
         raise InputError(f"images of shapes {baseline.shape} and {marched.shape}; give two equal ones")
     off = abs(np.asarray(baseline, float) - marched)

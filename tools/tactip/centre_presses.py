@@ -53,10 +53,8 @@ class CentrePress:
         return self.made.true_area_m2[self.made.frame_sample[press.frame]]
 
     def press(self, sizes: Mapping[str, float]) -> PinPress:
-        """The press with nuisances of these sizes, by their fields in `Nuisances`; here they may be negative.
-
-        Raises:
-            InputError: it cannot be read as a press.
+        """The press with nuisances of these sizes, by their fields in `Nuisances`; here they
+        may be negative.
         """
         made = self.made
         late = made.time_s[made.frame_sample] - sizes.get("late_s", 0.0)

@@ -36,10 +36,7 @@ class InclinedFamily:
     """A tip on specimens of one tilt.
 
     Attributes:
-        spec: the sensor.
-        tilt_rad: of the specimens' tops [rad].
         folder: where solved specimens are kept between runs; None for nowhere.
-        nodes_n_m: stiffness of the solved ones [N/m].
     """
 
     spec: TacTipSpec

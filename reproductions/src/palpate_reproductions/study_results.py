@@ -48,12 +48,7 @@ def study_entry(
 
 
 def write_results(folder: Path, entries: Sequence[StudyEntry], page: str) -> None:
-    """Write a study's ``summary.json`` and ``report.html``.
-
-    Raises:
-        ExistsError: one of them is there.
-        StorageError: the disk refused.
-    """
+    """Write a study's ``summary.json`` and ``report.html``."""
     with new_file(folder / SUMMARY_FILE) as path:
         path.write_text(json.dumps(entries, indent=1, allow_nan=False) + "\n")
     with new_file(folder / REPORT_FILE) as path:
@@ -66,9 +61,6 @@ def unfinished_work(out: Path, asked: Mapping[str, Any]) -> Path:
     Args:
         out: folder that the study becomes when all is done.
         asked: what decides the study's results; work of another kind is not gone on with.
-
-    Raises:
-        ExistsError: `out` exists, or work that was asked for otherwise lies beside it.
     """
     refuse_existing(out)
     work, wanted = out.with_name(f".{out.name}.work"), json.dumps(asked)

@@ -26,26 +26,8 @@ from palpate.psychophysics.trial_statistics import (
 )
 
 __all__ = [
-    "Comparison",
-    "Condition",
-    "GroupedComparison",
-    "Judgement",
-    "Line",
-    "Presentation",
-    "Stimulus",
-    "Task",
-    "checked_code",
-    "checked_judgements",
-    "compare",
-    "compare_grouped",
-    "corrected_by_holm",
-    "fit_line",
-    "is_rehearsal",
-    "judgement_row",
-    "mean_interval",
-    "read_judgements",
-    "read_stimuli",
-    "refuse_confounded",
-    "write_judgements",
-    "write_stimuli",
-]
+    "Comparison", "Condition", "GroupedComparison", "Judgement", "Line", "Presentation", "Stimulus", "Task",
+    "checked_code", "checked_judgements", "compare", "compare_grouped", "corrected_by_holm", "fit_line",
+    "is_rehearsal", "judgement_row", "mean_interval", "read_judgements", "read_stimuli",
+    "refuse_confounded", "write_judgements", "write_stimuli",
+]  # fmt: skip

@@ -1,24 +1,14 @@
-"""A linear mixed model of grouped trials: specimens compared where trials share a session, copy or operator.
-
-Trials of one session are alike: their errors hold what the session brought with it. So a value is
+"""Linear mixed model of trials grouped by session, sensor unit, or operator.
 
     y = X beta + sum over levels k of b_k(unit of the trial) + e,    b_k ~ N(0, theta_k),    e ~ N(0, theta_e)
 
-with a mean beta for every specimen. The variances are those of the greatest restricted likelihood (REML), by
-Fisher's scoring on theta >= 0 with the information I_ij = tr(P V_i P V_j) / 2. A variance that would be
-negative is 0, and is said to be. (A search on its square root, where the gradient at 0 is 0, seldom ends
-there: statsmodels' MixedLM reported no convergence in most of such trials, so it is a reference in tests.)
+Variances maximize the restricted likelihood (REML, Fisher scoring with theta >= 0). Intervals are Student's
+with Satterthwaite's degrees of freedom, for a mean at most one less than the outermost units. A level of one
+or two units is a fixed effect.
 
-Intervals are Student's. The degrees of freedom are Satterthwaite's, 2 v^2 / (g' I^-1 g) with v = L' C L and
-g its gradient over theta. A variance found to be 0 stays among those that could have come out otherwise, so
-that in balanced trials these are the degrees of freedom of the analysis of variance, also there. A mean holds
-the variance between the outermost units in full, and of three of them Satterthwaite's estimate is too hopeful
-(intervals of 95 % then held 91 %); so it has at most one degree of freedom less than they are. A level of one
-or two units has no variance to be told: it is taken as fixed.
-
-References: H. D. Patterson, R. Thompson, Biometrika 58 (1971) 545, doi:10.1093/biomet/58.3.545;
-F. G. Giesbrecht, J. C. Burns, Biometrics 41 (1985) 477, doi:10.2307/2530872; of the interval of the
-intraclass correlation J. Seely, Y. El-Bassiouni, Annals of Statistics 11 (1983) 197.
+References: H. D. Patterson, R. Thompson, Biometrika 58 (1971) 545, doi:10.1093/biomet/58.3.545; F. G.
+Giesbrecht, J. C. Burns, Biometrics 41 (1985) 477, doi:10.2307/2530872; J. Seely, Y. El-Bassiouni, Annals of
+Statistics 11 (1983) 197 (interval of the intraclass correlation).
 """
 
 from __future__ import annotations
@@ -49,14 +39,7 @@ Square = Float[ndarray, "n n"]
 
 @dataclass(frozen=True)
 class MeanEstimate:
-    """A mean, or a difference of two, with its interval.
-
-    Attributes:
-        value: the estimate [the values' unit].
-        low, high: ends of the interval.
-        freedom: degrees of freedom, `DEGREES_OF_FREEDOM`.
-        p: two-sided, of Student's test that it is 0.
-    """
+    """A mean or difference with its interval and two-sided Student p."""
 
     value: float
     low: float
@@ -72,13 +55,7 @@ class MeanEstimate:
 
 @dataclass(frozen=True)
 class SpecimenDifference:
-    """A difference of two specimens' means, the second's less the first's.
-
-    Attributes:
-        first, second: their names.
-        difference: with its interval.
-        shared: units of the outermost level in which both were pressed.
-    """
+    """Difference of two specimen means, second minus first, with `shared` outermost units."""
 
     first: str
     second: str
@@ -88,21 +65,14 @@ class SpecimenDifference:
 
 @dataclass(frozen=True)
 class GroupedComparison:
-    """A mixed model of one value a trial.
+    """Mixed model of one value per trial.
 
     Attributes:
         units: number of units of each level, outermost first.
-        means: of every specimen, over units as these were drawn; over those at hand where a level is fixed.
-        pairs: every two specimens.
-        variance: of each level, outermost first, and ``within``; None where it cannot be told.
-        correlation: of two trials of one unit of a level (and so of all levels further out), about their
-            means: the share of the variance up to that level. None where it cannot be told.
-        correlation_interval: of the one level that has a variance, exact for Gaussian values; None where
-            there are two, or none.
-        no_group_p: exact F-test that this one level's variance is 0; None where there are two, or none.
-        coverage: of every interval.
-        converged: whether the search for the variances ended; if not, take nothing of this.
-        notes: what a reader must know.
+        variance: variance of each level and ``within``; None if not identifiable.
+        correlation: intraclass correlation up to each level; None if not identifiable.
+        correlation_interval, no_group_p: exact interval, and F-test of no variance, of a single random level.
+        converged: whether REML converged; otherwise the estimates are invalid.
     """
 
     units: dict[str, int]
@@ -134,15 +104,8 @@ def compare_grouped(
     """Compare specimens by trials that come in groups.
 
     Args:
-        values: one a trial, finite.
-        specimens: name of each trial's.
-        groups: by level, outermost first, each trial's unit; the units of a second level count within
-            those of the first. A second level ``specimen`` is a specimen's own seat in a session.
-        coverage: of intervals.
-
-    Raises:
-        InputError: fewer than two specimens, values that do not fit, no or too many levels, groups that each
-            hold one specimen, or trials that do not tell the variances apart.
+        groups: by level, outermost first, each trial's unit; the units of a second level count within those
+            of the first. A second level ``specimen`` is a specimen's own seat in a session.
 
     Example:
         >>> values = [1.0, 1.1, 2.0, 2.1, 1.4, 1.5, 2.4, 2.6, 0.8, 0.7, 1.8, 1.7]
@@ -201,15 +164,7 @@ def compare_grouped(
 
 
 def refuse_confounded(specimens: Sequence[str], groups: Mapping[str, Sequence[str]]) -> None:
-    """Refuse trials of which no unit of the outermost level holds two specimens.
-
-    Args:
-        specimens: name of each trial's.
-        groups: by level, outermost first, each trial's unit.
-
-    Raises:
-        InputError: what differs between specimens could then as well differ between units.
-    """
+    """Reject trials if no unit of the outermost level holds two specimens."""
     level, units = next(iter(groups.items()))
     held: dict[str, set[str]] = {}
     for unit, specimen in zip(units, specimens, strict=True):
@@ -311,16 +266,7 @@ def _refuse_untold(X: Matrix, V: Sequence[Square], levels: Sequence[str]) -> Non
 
 @dataclass(frozen=True)
 class _LeastSquaresAt:
-    """Generalised least squares at given variances, and the restricted likelihood there.
-
-    Attributes:
-        beta: fixed effects.
-        C: their covariance, (X' V^-1 X)^-1.
-        spread_of: V^-1 X C, so that an estimate L' beta is (V^-1 X C L)' y.
-        V: one matrix a variance.
-        log_likelihood: restricted, less a constant.
-        score, information: its gradient over the variances, and its expected curvature.
-    """
+    """Generalised least squares at given variances, and the restricted likelihood there."""
 
     beta: Float[ndarray, " p"]
     C: Float[ndarray, "p p"]
@@ -387,15 +333,9 @@ def _reml(y: Values, X: Matrix, V: Sequence[Square]) -> tuple[Float[ndarray, " k
 
 @dataclass(frozen=True)
 class _VariancePivot:
-    """An exact pivot of the ratio of one level's variance to that within, lambda.
+    """Exact F pivot of lambda, the ratio of a level's variance to that within.
 
-    In the space that the level's units add to the fixed effects, t_i ~ N(0, theta_e (1 + lambda d_i)); so
-    sum t_i^2 / (1 + lambda d_i) / r over the mean square within is Fisher's F of r and e.
-
-    Attributes:
-        d, t: of that space's r axes.
-        square: mean square within.
-        e: its degrees of freedom.
+    In the space that units add to the fixed effects, t_i ~ N(0, theta_e (1 + lambda d_i)).
     """
 
     d: Float[ndarray, " r"]

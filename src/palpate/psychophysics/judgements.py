@@ -1,15 +1,8 @@
-"""Stimuli of an experiment, and what participants said of them: the table that runner and analysis share.
+"""Stimuli and judgments of an experiment: the tables that the runner and the analysis share.
 
-Two tables make an experiment. ``stimuli.csv`` has a row a stimulus: its name, the level by which it differs
-from the others, and the level's unit (softness rises or falls with the level, which the column ``softer``
-says). ``responses.csv`` has a row a judgement, in columns that spreadsheets, PsychoPy's and jsPsych's users
-read as they are:
-
-    participant, condition, presentation, task, block, trial, presented, answer, seconds, when
-
-``presented`` lists the stimuli's names in the order of presentation, separated by blanks. ``answer`` is the
-one that was called softer, or of a ranking all of them from the least soft to the softest. Nothing in it says
-which answer is right: that follows from the stimuli alone.
+``stimuli.csv`` has one row per stimulus; ``responses.csv`` one row per judgment. ``presented`` lists names in
+the order of presentation, separated by blanks; ``answer`` is the softer one, or a ranking from the least soft
+to the softest. The correct answer follows from the stimuli alone.
 """
 
 from __future__ import annotations
@@ -68,11 +61,7 @@ class Task(StrEnum):
 
 
 def checked_code(word: str, what: str) -> str:
-    """A participant's or stimulus's code; never a name, a path, or anything that would be one.
-
-    Raises:
-        InputError: other characters, or too many.
-    """
+    """A participant's or stimulus's code; never a name, a path, or anything that would be one."""
     if not CODE.match(word):
         raise InputError(
             f"{what} {word!r}: {CODE_SAID} are allowed, and no person's name; give a code such as P01",
@@ -83,14 +72,7 @@ def checked_code(word: str, what: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Stimulus:
-    """One stimulus.
-
-    Attributes:
-        name: as the table of responses has it; participants do not see it.
-        level: by which stimuli differ.
-        softer: +1 where a greater level is softer, -1 where it is harder.
-        unit: of the level, such as ``kPa``.
-    """
+    """One stimulus; `softer` is +1 where a greater level is softer, -1 where it is harder."""
 
     name: str
     level: float
@@ -117,13 +99,11 @@ class Judgement:
     """One answer of one participant.
 
     Attributes:
-        participant: code.
-        condition, presentation, task: what was given and asked.
-        block, trial: when, counted from 1; together with the four before they are unique.
-        presented: names of the stimuli, in the order of presentation; of a pair the standard is among them.
-        answer: the name that was called softer; of a ranking all names, from the least soft to the softest.
-        seconds: from presentation to answer; NaN where it was not timed [s].
-        when: time of the answer in ISO 8601, or "".
+        block, trial: counted from 1; unique with participant, condition, presentation, and task.
+        presented: stimuli in the order of presentation.
+        answer: the softer stimulus; of a ranking all, from the least soft to the softest.
+        seconds: response time [s]; NaN if not measured.
+        when: ISO 8601 time, or "".
     """
 
     participant: str
@@ -178,11 +158,7 @@ class Judgement:
         return f"participant {self.participant}, {given}, block {self.block}, trial {self.trial}"
 
     def right(self, stimuli: Mapping[str, Stimulus]) -> bool:
-        """Whether the softer of a pair was named; of a ranking, whether all of it is right.
-
-        Raises:
-            InputError: a stimulus that is not in the table, or two of one softness.
-        """
+        """Whether the softer of a pair was named; of a ranking, whether all of it is right."""
         return self.answer == self.truth(stimuli)
 
     def truth(self, stimuli: Mapping[str, Stimulus]) -> tuple[str, ...]:
@@ -203,11 +179,7 @@ class Judgement:
 
 
 def checked_judgements(judgements: Iterable[Judgement]) -> tuple[Judgement, ...]:
-    """Judgements, none of them twice.
-
-    Raises:
-        LabelError: two with one participant, condition, presentation, task, block and trial.
-    """
+    """Judgements, none of them twice."""
     seen: dict[tuple[str, str, str, str, int, int], Judgement] = {}
     for one in judgements:
         if one.key in seen:
@@ -218,16 +190,10 @@ def checked_judgements(judgements: Iterable[Judgement]) -> tuple[Judgement, ...]
 
 @parser("table of judgments", InputError)
 def read_judgements(path: Path, unanswered: list[str] | None = None) -> tuple[Judgement, ...]:
-    """The judgements of a table, or of all tables ``*/responses.csv`` in a folder.
+    """Read a table, or all ``*/responses.csv`` in a folder.
 
     Args:
-        path: of the table or folder.
-        unanswered: takes a line for each row without an answer, which is then left out; without the list
-            such a row is refused.
-
-    Raises:
-        LabelError: it is no such table, a row cannot be read, or stands twice.
-        StorageError: it cannot be read.
+        unanswered: receives a line per row without an answer; without the list such a row is rejected.
     """
     if path.is_dir():
         tables = [path / RESPONSES] if (path / RESPONSES).is_file() else sorted(path.glob(f"*/{RESPONSES}"))
@@ -289,12 +255,7 @@ def write_judgements(path: Path, judgements: Iterable[Judgement]) -> None:
 
 @parser("table of stimuli", InputError)
 def read_stimuli(path: Path) -> dict[str, Stimulus]:
-    """The stimuli of a table, or of ``stimuli.csv`` in a folder, by name.
-
-    Raises:
-        LabelError: it is no such table, a row cannot be read, or a name stands twice.
-        StorageError: it cannot be read.
-    """
+    """The stimuli of a table, or of ``stimuli.csv`` in a folder, by name."""
     table = path / STIMULI if path.is_dir() else path
     stimuli: dict[str, Stimulus] = {}
     for i, row in enumerate(_rows(table, STIMULUS_COLUMNS), start=1):

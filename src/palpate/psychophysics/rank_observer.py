@@ -1,17 +1,11 @@
-"""A Gaussian observer that ranks stimuli, or tells which of two is softer.
+"""Gaussian observer that ranks stimuli or names the softer of two.
 
-Each stimulus is perceived at its place plus noise of one standard deviation, independent from stimulus to
-stimulus; the answer is the order of what was perceived. Places are in these standard deviations, so that two
-stimuli d apart are told right with Phi(d / sqrt 2) in a pair.
+Percepts are positions plus independent unit-variance noise; a pair d apart is correct with Phi(d / sqrt 2).
+The probability of rank j is an integral of a Poisson binomial law,
 
-The probability that stimulus i gets rank j needs one integral: given its percept x, the others lie below it
-independently with Phi(x - place), and j is one more than their number (a Poisson binomial law),
+    M_ij = E_x [ P(exactly j - 1 of the others lie below x) ],   x ~ N(place_i, 1),
 
-    M_ij = E_x [ P(exactly j - 1 of the others lie below x) ],   x ~ N(place_i, 1)
-
-which Gauss and Hermite's rule gives to `MATRIX_ERROR`. All rows and columns sum to 1. Two faults may be mixed
-in: a lapse, all of a ranking at random, and a reversal, the order turned round as where "softer" was taken
-for "harder".
+by Gauss-Hermite quadrature. Lapses (random rankings) and reversals (order reversed) can be mixed in.
 
 Reference: L. L. Thurstone, Psychol. Rev. 34 (1927) 273, doi:10.1037/h0070288.
 """
@@ -35,17 +29,7 @@ RankMatrix = Float[ndarray, "m m"]
 
 @dataclass(frozen=True)
 class RankObserver:
-    """An observer of stimuli in their true order.
-
-    Attributes:
-        places: of the stimuli, the least soft first [standard deviations of the noise].
-        lapse: share of answers that are random.
-        reversal: share of answers that are turned round.
-
-    Raises:
-        InputError: fewer than two stimuli.
-        RangeError: a place that is not finite, or shares below 0 or together above 1.
-    """
+    """Observer of stimuli at `places` (least soft first, in noise SD) with rates of lapses and reversals."""
 
     places: tuple[float, ...]
     lapse: float = 0.0
@@ -69,13 +53,7 @@ class RankObserver:
     def evenly(
         cls, sensitivity: float, stimuli: int = 5, lapse: float = 0.0, reversal: float = 0.0
     ) -> RankObserver:
-        """An observer of stimuli that are as far from each other.
-
-        Args:
-            sensitivity: d' of neighbours [standard deviations]; below 0 the order is perceived turned round.
-            stimuli: number of them.
-            lapse, reversal: as above.
-        """
+        """Return an observer of equidistant stimuli, `sensitivity` (d') apart."""
         return cls(tuple(sensitivity * i for i in range(stimuli)), lapse, reversal)
 
     def rank_matrix(self) -> RankMatrix:

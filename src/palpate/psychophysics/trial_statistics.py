@@ -1,10 +1,6 @@
-"""Rank tests of whether several specimens differ, over one value a trial; a straight line through trials.
+"""Rank tests between groups with one value per trial, and straight-line fits.
 
-Samples of one trial follow each other in time and are not independent: pooling them as if they were makes any
-difference significant (pseudo-replication). So a trial counts as one value, unless the caller insists.
-
-"LSD after Kruskal-Wallis", as some packages call it, is Dunn's test without correction: z = |dR| over
-sqrt(N (N + 1) / 12 (1/n_i + 1/n_j)). It is given as such, beside Holm's correction.
+Samples of one trial are not independent; pooling them is pseudo-replication and must be requested.
 
 References: O. J. Dunn, Technometrics 6 (1964) 241, doi:10.1080/00401706.1964.10490181; H. W. Lilliefors,
 JASA 62 (1967) 399, doi:10.1080/01621459.1967.10482916; S. Holm, Scand. J. Statist. 6 (1979) 65.
@@ -41,15 +37,11 @@ Groups = Mapping[str, Sequence[Any]]  # of every group its trials: a number each
 
 @dataclass(frozen=True)
 class Pair:
-    """Two groups.
+    """Tests between two groups.
 
     Attributes:
-        first, second: their names.
-        rank_sum_p: Wilcoxon's rank-sum test, two-sided; exact where a group has 8 values or fewer (and, with
-            ties, both together 500), else by the normal law; never below `least_p`.
-        least_p: the smallest that it can be with groups of these sizes.
-        dunn_p: uncorrected.
-        holm_p: Dunn's, corrected by Holm for all pairs.
+        rank_sum_p: two-sided Wilcoxon rank-sum p, exact for small groups, at least `least_p`.
+        holm_p: Dunn's p with Holm correction over all pairs.
     """
 
     first: str
@@ -65,13 +57,8 @@ class Comparison:
     """Results of the tests.
 
     Attributes:
-        n: values in each group.
-        lilliefors_p: of each group; small where it is not Gaussian. NaN for fewer than 4 values.
-        standard_normal_p: of Kolmogorov and Smirnov's test of raw values against N(0, 1), as some packages
-            run it by default: it asks whether the mean is 0 and the spread 1, and not for a shape.
-        kruskal_h, kruskal_p: of all groups at once; 0 and 1 where all values are the same.
-        pairs: every two.
-        warnings: what a reader must know before using the p-values.
+        lilliefors_p: normality of each group; NaN for fewer than 4 values.
+        standard_normal_p: Kolmogorov-Smirnov test against N(0, 1), the default of some packages.
     """
 
     n: dict[str, int]
@@ -88,14 +75,8 @@ class Comparison:
 
 
 def compare(groups: Groups, *, pooled: bool = False) -> Comparison:
-    """Compare groups of trials.
-
-    Args:
-        groups: by name: of every trial its samples, or its one value.
-        pooled: take every sample as a value of its own, which the comparison then warns of.
-
-    Raises:
-        InputError: fewer than two groups, or one with fewer than two values, or a value that is not finite.
+    """Compare groups of trials, each trial a value or its samples; `pooled` counts every sample, with a
+    warning.
 
     Example:
         >>> groups = {"soft": [[1.0], [1.2], [1.1]], "hard": [[2.0], [2.2], [2.1]]}
@@ -134,16 +115,10 @@ def compare(groups: Groups, *, pooled: bool = False) -> Comparison:
 def mean_interval(
     values: Sequence[float], coverage: float = 0.95, *, known_sd: float = 0.0
 ) -> tuple[float, float]:
-    """Student's interval of the mean of Gaussian values, also of few of them.
+    """Return Student's interval of a mean.
 
     Args:
-        values: two or more.
-        coverage: how often it holds the mean.
-        known_sd: standard deviation of an error that all values share, which their scatter does not show.
-            Degrees of freedom are then Welch and Satterthwaite's (JCGM 100:2008, G.4.1).
-
-    Raises:
-        InputError: fewer than two values, or one that is not finite.
+        known_sd: SD of an error shared by all values; then Welch-Satterthwaite (JCGM 100:2008, G.4.1).
     """
     x = np.asarray(values, np.float64)
     if len(x) < 2 or not np.isfinite(x).all():
@@ -227,11 +202,7 @@ def _holm(plain: Mapping[tuple[str, str], float]) -> dict[tuple[str, str], float
 
 
 def _lilliefors(values: Values) -> float:
-    """Kolmogorov and Smirnov's test against the normal law of the sample's own mean and spread.
-
-    By drawing as Lilliefors did, who drew 1000 samples; the same ones at every call. Of many values fewer
-    samples are drawn, for memory's sake.
-    """
+    """Kolmogorov and Smirnov's test against the normal law of the sample's own mean and spread."""
     if len(values) < MIN_FOR_LILLIEFORS or np.ptp(values) == 0:
         return float("nan")
     rng = np.random.default_rng(LILLIEFORS_SEED)
@@ -253,17 +224,7 @@ def _warnings(groups: Groups, pooled: bool) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Line:
-    """y = slope x + start.
-
-    Attributes:
-        slope, start: of the line, in y's unit over x's and in y's.
-        slope_low, slope_high: 95 % interval of the slope, if the points are independent.
-        adjusted_r2: 1 less the residual variance over y's.
-        n: points.
-        mean_x: of the points, in x's unit.
-        sxx: sum of squares of x around it.
-        residual: standard deviation of y around the line, with n - 2 degrees of freedom.
-    """
+    """y = slope x + start, with the slope's 95 % interval and the residual SD (n - 2 degrees of freedom)."""
 
     slope: float
     start: float
@@ -286,11 +247,7 @@ class Line:
 
 
 def fit_line(x: Values, y: Values) -> Line:
-    """Least squares; through values of y that are all the same the level line, without an adjusted R^2 (NaN).
-
-    Raises:
-        InputError: fewer than two points, all at one x, or one that is not finite.
-    """
+    """Fit a line by least squares; adjusted R^2 is NaN if y is constant."""
     x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
     if x.shape != y.shape or x.ndim != 1 or len(x) < 2 or np.ptp(x) == 0:
         raise InputError(f"a line needs two points or more at different x; got {len(x)} and {len(y)} values")

@@ -1,7 +1,6 @@
-"""Force over contact area and force over displacement of an object: the two cues by which it feels soft.
+"""Force over contact area and force over displacement: the two cues by which an object feels soft.
 
-A characteristic is a table whose points are joined by straight lines, so that its inverse is exact. Both
-columns rise throughout: of a curve that falls or stays level somewhere no displacement belongs to a force.
+A characteristic is a piecewise linear table, rising in both columns, so that its inverse is exact.
 
 Reference: E. P. Scilingo, M. Bianchi, G. Grioli, A. Bicchi, Rendering softness, IEEE Trans. Haptics 3 (2010)
 109, doi:10.1109/TOH.2010.2, equation (6).
@@ -29,13 +28,7 @@ Points = Float[ndarray, " _"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Characteristic:
-    """Force of an object over the area, or the displacement, at which a finger presses it.
-
-    Attributes:
-        cue: ``"area"`` or ``"displacement"``.
-        x: area [m^2] or displacement [m], rising; the first is 0 or above.
-        force_n: at each, rising; the first is 0 or above [N].
-    """
+    """Force over area [m^2] or displacement [m], both rising from 0 or above."""
 
     cue: Cue
     x: Points
@@ -76,11 +69,7 @@ class Characteristic:
         return float(self.force_n[-1])
 
     def force_at(self, x: float | Array) -> Array:
-        """Force at an area [m^2] or displacement [m].
-
-        Raises:
-            RangeError: it lies outside the table.
-        """
+        """Force at an area [m^2] or displacement [m]."""
         given = np.asarray(x, float)
         if np.any((given < self.x[0]) | (given > self.x[-1]) | np.isnan(given)):
             factor, unit = SHOWN[self.cue]
@@ -92,11 +81,7 @@ class Characteristic:
         return np.asarray(np.interp(given, self.x, self.force_n))
 
     def at_force(self, force_n: float | Array) -> Array:
-        """Area [m^2] or displacement [m] at a force; below the first force where the table begins.
-
-        Raises:
-            RangeError: more force than the table has, or less than none.
-        """
+        """Area [m^2] or displacement [m] at a force; below the first force where the table begins."""
         given = np.asarray(force_n, float)
         if np.any((given < 0) | (given > self.greatest_n * (1 + 1e-12)) | np.isnan(given)):
             raise RangeError(
@@ -109,14 +94,7 @@ class Characteristic:
     def from_law(
         cls, cue: Cue, law: Callable[[Points], Points], until: float, begins: float = 0.0
     ) -> Characteristic:
-        """Table of a law.
-
-        Args:
-            cue: ``"area"`` or ``"displacement"``.
-            law: from area [m^2] or displacement [m] to force [N].
-            until: its end [m^2 or m].
-            begins: its beginning [m^2 or m].
-        """
+        """Tabulate a law from area [m^2] or displacement [m] to force [N]."""
         if not begins < until < np.inf:
             factor, unit = SHOWN[cue]
             raise RangeError(
@@ -130,14 +108,7 @@ class Characteristic:
 
 @dataclass(frozen=True, slots=True)
 class SoftObject:
-    """An object as a finger feels it.
-
-    Attributes:
-        name: of the object.
-        area: force over contact area, for the skin.
-        displacement: force over displacement, for the arm.
-        source: where the two are from, in words.
-    """
+    """An object as a finger feels it: force over area, and over displacement."""
 
     name: str
     area: Characteristic
@@ -157,15 +128,7 @@ class SoftObject:
 def pressed_object(
     name: str, force_n: Points, displacement_m: Points, area_m2: Points, source: str
 ) -> SoftObject:
-    """An object from one press: displacement and area at the same forces, all rising.
-
-    Args:
-        name: of the object.
-        force_n: from 0 [N].
-        displacement_m: at each [m].
-        area_m2: at each [m^2].
-        source: where they are from, in words.
-    """
+    """Return an object from displacement [m] and area [m^2] at the same rising forces [N]."""
     return SoftObject(
         name,
         Characteristic("area", area_m2, force_n),
@@ -175,16 +138,7 @@ def pressed_object(
 
 
 def fingertip_object(name: str, tip: Fingertip, greatest_n: float | None = None) -> SoftObject:
-    """What a fingertip feels of the flat it is pressed on; see `palpate.mechanics.fingertip_laws`.
-
-    Args:
-        name: of the object.
-        tip: on a rigid flat, or on what lies under it.
-        greatest_n: end of both curves; without, as far as the model is known [N].
-
-    Raises:
-        RangeError: a force outside what the model is known for.
-    """
+    """Return what a fingertip feels of a flat, up to `greatest_n` or the limit of the model."""
     end = tip.greatest_n if greatest_n is None else greatest_n
     if not end > 0:
         raise RangeError(f"a greatest force of {end:g} N; give one above 0 N", code="force-range")
@@ -193,14 +147,7 @@ def fingertip_object(name: str, tip: Fingertip, greatest_n: float | None = None)
 
 
 def hertz_object(name: str, ball: Body, finger: Body, greatest_n: float) -> SoftObject:
-    """An elastic ball, or a flat, under an elastic ball of a finger, by Hertz.
-
-    Args:
-        name: of the object.
-        ball, finger: the two bodies; the finger has no default, since the objects that feel alike depend on
-            it.
-        greatest_n: end of both curves [N].
-    """
+    """Return an elastic ball or flat under an elastic finger (Hertz)."""
     if not 0 < greatest_n < np.inf:
         raise RangeError(f"greatest force {greatest_n:g} N; give one above 0 N", code="force-range")
     both = ball.against(finger)
@@ -220,14 +167,7 @@ def _force_of_area(both: Body, area_m2: Points) -> Points:
 
 
 def polynomial(cue: Cue, coefficients_n: Sequence[float], per: float, until: float) -> Characteristic:
-    """Force as a polynomial.
-
-    Args:
-        cue: ``"area"`` or ``"displacement"``.
-        coefficients_n: of the powers 0, 1, 2, ... of x / per [N].
-        per: unit in which the polynomial is written, such as 1e-4 m^2 for one in cm^2 [m^2 or m].
-        until: its end [m^2 or m].
-    """
+    """Return force as a polynomial of x / per, with coefficients [N] of the powers 0, 1, 2, ..."""
     return Characteristic.from_law(
         cue, lambda x: np.polynomial.polynomial.polyval(x / per, np.asarray(coefficients_n, float)), until
     )

@@ -1,12 +1,10 @@
-"""The contact-area display: telescoping cylinders on a pressed chamber, which a finger pushes in.
+"""Contact-area display: telescoping cylinders on a pressurized chamber that a finger pushes in.
 
-A finger that has pushed the cone in by d meets a disc of radius d R / H. The chamber's gauge pressure p does
-the work of the force, P dd = -p dV with V = pi R^2 H / 3 - pi d^3 R^2 / (3 H^2), so P = p A with A =
-pi (d R / H)^2. A real display has rings instead of a cone: its area rises in steps, and P = p A holds still.
-A sleeve over the rings adds its own spring, P = p A + k d.
+A push d meets a disc of radius d R / H. Virtual work P dd = -p dV with V = pi R^2 H / 3 - pi d^3 R^2 / (3
+H^2) gives P = p A. Rings raise the area in steps; a sleeve adds its spring, P = p A + k d.
 
 Reference: E. P. Scilingo, M. Bianchi, G. Grioli, A. Bicchi, Rendering softness, IEEE Trans. Haptics 3 (2010)
-109, doi:10.1109/TOH.2010.2, section 3.1, which leaves losses and the sleeve's stiffness out.
+109, doi:10.1109/TOH.2010.2, section 3.1.
 """
 
 from __future__ import annotations
@@ -23,14 +21,7 @@ Array = Float[ndarray, "*n"]
 
 @dataclass(frozen=True, slots=True)
 class ConeDisplay:
-    """Shape of a display.
-
-    Attributes:
-        height_m: by which its tip can be pushed in [m].
-        radius_m: of its base [m].
-        rings: cylinders of which it is made; 0 for the ideal cone.
-        sleeve_n_m: stiffness k of the sleeve over it; 0 for none [N/m].
-    """
+    """Shape of a display; `rings` is 0 for an ideal cone, `sleeve_n_m` the sleeve's stiffness."""
 
     height_m: float = 10e-3
     radius_m: float = 6.5e-3
@@ -54,11 +45,7 @@ class ConeDisplay:
         return math.pi * self.radius_m**2
 
     def area_m2(self, pushed_m: float | Array) -> Array:
-        """Contact area at a displacement of the tip, of 0 to the height [m^2].
-
-        Raises:
-            RangeError: a displacement outside that.
-        """
+        """Contact area at a displacement of the tip, of 0 to the height [m^2]."""
         share = self._share(pushed_m)
         return np.asarray(self.greatest_m2 * (share if not self.rings else self._stair(share)) ** 2)
 

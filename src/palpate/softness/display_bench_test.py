@@ -1,15 +1,11 @@
-"""Bench test of a contact-area display: pressed in steps at several pressures, is its force P = p A(s)?
+"""Bench test of a contact-area display: steps of a flat probe at several pressures, compared with P = p A(s).
 
-The plan is plain data; running it takes any display, something that moves a flat probe and a force reference,
-so that a lab's own stage and load cell do as well as the virtual bench. What is fitted to the points is
-
-    P = c p A(s) + k s + f d,
-
-with d = 1 pressing and -1 on the way back: c says how far area or pressure is off (force cannot tell which of
-them), k is the sleeve's stiffness and f the friction. The law itself has c = 1, the stated k and f = 0.
+The points are fitted by P = c p A(s) + k s + f d, with d = 1 pressing and -1 on the way back: c is the scale
+of area or pressure, k the stiffness of the sleeve, f the friction. The law has c = 1, the stated k, and f =
+0.
 
 Reference: E. P. Scilingo, M. Bianchi, G. Grioli, A. Bicchi, Rendering softness, IEEE Trans. Haptics 3 (2010)
-109, doi:10.1109/TOH.2010.2, section 3.1, which says that this was done and prints no numbers.
+109, doi:10.1109/TOH.2010.2, section 3.1.
 """
 
 from __future__ import annotations
@@ -45,14 +41,8 @@ Column = Float[ndarray, " n"]
 
 @dataclass(frozen=True, slots=True)
 class IndentationPlan:
-    """Steps of a flat probe, pressed in and back, at each of several pressures.
-
-    Attributes:
-        pressures_pa: gauge pressures, in the order in which they are held; 0 shows sleeve and friction [Pa].
-        ways_m: of the tip, rising; each is also met on the way back but the last [m].
-        speed_m_s: of the probe between them [m/s].
-        settle_s: waited at each [s].
-        mean_s: over which pressure, way and force are then averaged [s].
+    """Steps of a flat probe, in and back, at several gauge pressures in the given order (0 shows sleeve and
+    friction).
     """
 
     pressures_pa: tuple[float, ...] = (20e3, 5e3, 40e3, 10e3, 30e3, 0.0)
@@ -76,14 +66,7 @@ class IndentationPlan:
 
 @dataclass(frozen=True, slots=True)
 class BenchPoint:
-    """Means at one step.
-
-    Attributes:
-        told_pa, pressure_pa: gauge pressure told and measured [Pa].
-        pushed_m: way of the tip, by the display's own sensor [m].
-        force_n: by the reference [N].
-        direction: 1 pressing, -1 on the way back.
-    """
+    """Means at one step; `direction` is 1 pressing, -1 on the way back."""
 
     told_pa: float
     pressure_pa: float
@@ -94,12 +77,7 @@ class BenchPoint:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BenchTest:
-    """Points of a bench test beside the law of a stated display.
-
-    Attributes:
-        shape: as stated, with its sleeve.
-        points: as measured.
-    """
+    """Points of a bench test beside the law of a stated display."""
 
     shape: ConeDisplay
     points: tuple[BenchPoint, ...]
@@ -154,15 +132,7 @@ class BenchTest:
 
 @dataclass(frozen=True, slots=True)
 class BenchFit:
-    """What the points say of a display.
-
-    Attributes:
-        scale: c, of p A(s); 1 of the law.
-        sleeve_n_m: k [N/m].
-        friction_n: f [N].
-        scale_error: standard error of c, as if points were independent.
-        rms_n: root mean square of what the fit leaves [N].
-    """
+    """Fitted c (`scale`), k, and f, with the standard error of c and the residual RMS."""
 
     scale: float
     sleeve_n_m: float
@@ -180,24 +150,13 @@ def run_bench_test(
     shape: ConeDisplay | None = None,
     progress: Progress = silent,
 ) -> BenchTest:
-    """Run a plan; the display is vented at its end, whatever happens.
+    """Run a plan; the display is always vented at its end.
 
     Args:
-        plan: pressures, steps and times.
-        display: released here, and told its pressure in each period, which feeds its watchdog.
-        move: tells the probe where to be, as a way of the tip from first touch [m]; returns at once. It is
-            told to be at 0 before each pressure.
-        force_n: the force reference [N].
-        clock: of the periods.
-        shape: as stated, with its sleeve; by default a cone of the display's height and radius.
-        progress: called with each pressure.
-
-    Returns:
-        The points.
-
-    Raises:
-        RangeError: the display does not go as far as the plan, or does not hold its pressures.
-        DeviceError: a device does not answer, says a fault, or its tip does not go with the probe.
+        display: released here, and commanded every period.
+        move: commands the probe to a tip displacement [m]; returns at once; called with 0 before each
+            pressure.
+        force_n: returns the reference force [N].
     """
     shown = display.range
     if plan.ways_m[-1] > shown.height_m or max(plan.pressures_pa) > shown.greatest_pa:
@@ -235,12 +194,7 @@ def run_bench_test(
 
 
 def write_bench_table(test: BenchTest, path: Path) -> None:
-    """Write the points as CSV, SI units in the columns' names.
-
-    Raises:
-        ExistsError: `path` exists.
-        StorageError: the disk refused.
-    """
+    """Write the points as CSV, SI units in the columns' names."""
     with new_file(path) as building, building.open("w", newline="", encoding="utf-8") as file:
         rows = csv.writer(file)
         rows.writerow([*(one.name for one in fields(BenchPoint)), "law_n"])

@@ -1,7 +1,6 @@
-"""Parts of a rendering bench, as its physics takes them: valve, chamber, sensors, arm, and a pressing finger.
+"""Parts of a rendering bench with their physical parameters: valve, chamber, sensors, arm, and finger.
 
-Figures are those of parts that can be bought, or of people, with their source; what no source states is an
-assumption and says so. None was measured by this project.
+Defaults are published values with their source, or assumptions marked as such; none was measured here.
 """
 
 from __future__ import annotations
@@ -18,11 +17,7 @@ ROOM_K = 293.15
 
 
 def check_parts(parts: object, *, zero: tuple[str, ...] = ()) -> None:
-    """Refuse a figure that is not finite and above 0; those named may be 0.
-
-    Raises:
-        RangeError: names the figure.
-    """
+    """Refuse a figure that is not finite and above 0; those named may be 0."""
     for one in fields(parts):  # type: ignore[arg-type]
         value = getattr(parts, one.name)
         if isinstance(value, float) and not (
@@ -34,19 +29,14 @@ def check_parts(parts: object, *, zero: tuple[str, ...] = ()) -> None:
 
 @dataclass(frozen=True, slots=True)
 class ProportionalValve:
-    """Three ways of a proportional directional valve: supply, chamber, exhaust.
+    """Three-way proportional valve: supply, chamber, exhaust.
 
-    The defaults are those that the maker states of the Festo MPYE-5-M5-010-B: 100 l/min from 6 to 5 bar of
-    gauge pressure, 125 Hz at full stroke. Flow follows ISO 6358: that nominal flow with b = 0.3 is a sonic
-    conductance of 0.39 l/(s bar). Overlap is of the order that O. Olaby et al. measured on one (6th JFPS
-    Symposium on Fluid Power, 2005, 3D1-1).
+    Defaults: Festo MPYE-5-M5-010-B (100 l/min from 6 to 5 bar gauge, 125 Hz), that is 0.39 l/(s bar) with b =
+    0.3 by ISO 6358; overlap as in O. Olaby et al. (6th JFPS Symposium on Fluid Power, 2005, 3D1-1).
 
     Attributes:
-        conductance: sonic, fully open, C [m^3/(s Pa)].
-        critical_ratio: of pressures, b.
-        bandwidth_hz: of the spool [Hz].
-        overlap: share of the stroke, to either side, in which no way is open.
-        supply_pa: gauge pressure at its inlet [Pa].
+        conductance: sonic conductance C, fully open [m^3/(s Pa)].
+        overlap: fraction of the stroke, to either side, in which the valve is closed.
     """
 
     conductance: float = 3.93e-9
@@ -66,20 +56,12 @@ class ProportionalValve:
 
 @dataclass(frozen=True, slots=True)
 class Chamber:
-    """Chamber under the cone, its tube and its sleeve: assumptions about a bench of the source's size.
+    """Chamber, tube, and sleeve; values are assumptions.
 
     Attributes:
-        dead_m3: volume that no push displaces: tube of 0.3 m and 2.5 mm, and what lies under the cone [m^3].
-        tube_lag_s: after which flow from the valve arrives: 0.3 m at the speed of sound [s].
-        leak: sonic conductance to the air, past the cylinders [m^3/(s Pa)].
-        safety: sonic conductance of the switching valve between valve and chamber, which without current
-            lets the chamber out and shuts the other off [m^3/(s Pa)].
-        safety_s: in which it switches [s].
-        polytropic: exponent n of p V^n, between 1, isothermal, and 1.4.
-        sleeve_n_m: stiffness of the latex sleeve [N/m].
-        friction_n: of the cylinders [N].
-        damping_n_s_m: of the tip against the base [N s/m].
-        tip_kg: mass that moves with the tip [kg].
+        dead_m3: volume of tube (0.3 m, 2.5 mm) and base [m^3].
+        leak, safety: sonic conductance of leak and vent valve [m^3/(s Pa)].
+        polytropic: exponent n of p V^n, 1 (isothermal) to 1.4.
     """
 
     dead_m3: float = 1.8e-6
@@ -99,14 +81,8 @@ class Chamber:
 
 @dataclass(frozen=True, slots=True)
 class DisplaySensors:
-    """Hall sensor and pressure sensor, as they come through a converter of 16 bits.
-
-    A linear Hall sensor such as the Allegro A1324 states a bandwidth of 17 kHz; with a magnet that gives
-    0.4 V a millimetre, a noise of 1 to 2 mV is some micrometres. The pressure sensor's is an assumption.
-
-    Attributes:
-        hall_noise_m: standard deviation [m].
-        pressure_noise_pa: standard deviation [Pa].
+    """Noise of Hall sensor (Allegro A1324 at 0.4 V/mm) and pressure sensor (assumption), with 16-bit
+    converters.
     """
 
     hall_noise_m: float = 4e-6
@@ -118,20 +94,11 @@ class DisplaySensors:
 
 @dataclass(frozen=True, slots=True)
 class ArmMechanics:
-    """A delta arm along the axis of the press.
-
-    Greatest force and resolution are what Force Dimension states of the delta.3 (20 N, 0.02 mm); moving mass,
-    friction and the motors' lag are assumptions.
+    """Delta arm along the press axis: force and resolution of the Force Dimension delta.3, the rest
+    assumptions.
 
     Attributes:
-        mass_kg: that moves, with the display on it [kg].
-        friction_n: Coulomb [N].
-        damping_n_s_m: viscous [N s/m].
-        brake_n_s_m: viscous while it brakes, its motors' windings joined [N s/m].
-        force_n: greatest [N].
-        lag_s: from a force asked to a force given [s].
-        resolution_m: of its position [m].
-        reach_m: to either side [m].
+        brake_n_s_m: viscous damping with shorted motor windings [N s/m].
     """
 
     mass_kg: float = 0.30
@@ -149,22 +116,12 @@ class ArmMechanics:
 
 @dataclass(frozen=True, slots=True)
 class FingerMechanics:
-    """A finger that presses: its pulp, its mass, the muscles that hold it where it means to be, and tremor.
+    """Pressing finger: pulp, mass, muscles, and tremor.
 
-    Mass, stiffness and damping lie in the ranges that A. Z. Hajian and R. D. Howe measured of the index
-    finger (J. Biomech. Eng. 119 (1997) 109, doi:10.1115/1.2796052). The pulp stiffens exponentially, as
-    D. T. V. Pawluk and R. D. Howe found (J. Biomech. Eng. 121 (1999) 605, doi:10.1115/1.2800860); its two
-    constants here are of that order, and an assumption. Physiological tremor lies at 8 to 12 Hz.
-
-    Attributes:
-        mass_kg: [kg].
-        stiffness_n_m: of the muscles [N/m].
-        damping_n_s_m: [N s/m].
-        pulp_n: b of F = b (exp(m d) - 1) [N].
-        pulp_per_m: m [1/m].
-        pulp_damping_n_s_m: [N s/m].
-        tremor_m: amplitude of the place where it is meant to be [m].
-        tremor_hz: [Hz].
+    Mass, stiffness, damping: A. Z. Hajian, R. D. Howe, J. Biomech. Eng. 119 (1997) 109,
+    doi:10.1115/1.2796052. Pulp F = b (exp(m d) - 1): D. T. V. Pawluk, R. D. Howe, J. Biomech. Eng. 121 (1999)
+    605, doi:10.1115/1.2800860; b (`pulp_n`) and m (`pulp_per_m`) are of that order. Physiological tremor is
+    at 8 to 12 Hz.
     """
 
     mass_kg: float = 6e-3

@@ -1,4 +1,4 @@
-"""Fields of an object's file: each a number with its unit in its key, no field too many."""
+"""Validated fields of an object file: numbers with their unit in the key, no unknown fields."""
 
 from __future__ import annotations
 

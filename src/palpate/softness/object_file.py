@@ -51,14 +51,7 @@ GIVES = f"give [force_area] and [force_displacement], or one of {', '.join(f'[{o
 
 @parser("soft object", InputError)
 def read_object(path: Path) -> SoftObject:
-    """Read an object's file.
-
-    Raises:
-        UnitError: a value has no unit in its key.
-        InputError: the file is not TOML, or lacks something, or force does not rise throughout.
-        RangeError: a value that no object has.
-        StorageError: the file cannot be read.
-    """
+    """Read an object's file."""
     with storage_errors(path):
         if not path.exists():
             raise InputError(f"there is no object's file {path}; {GIVES}", code="file-missing")
@@ -84,13 +77,7 @@ def is_object_file(path: Path) -> bool:
 
 
 def object_from(fields: Mapping[str, Any], name: str = "object", folder: Path = Path()) -> SoftObject:
-    """An object from the fields of its file; all that `read_object` raises.
-
-    Args:
-        fields: of the file.
-        name: where the file gives none.
-        folder: in which files that it names are looked for.
-    """
+    """Return an object from the fields of its file; `folder` resolves relative file names."""
     known = {"name", "source", *CURVES, *WHOLE, *UNDER}
     if extra := sorted(set(fields) - known):
         raise InputError(

@@ -1,8 +1,7 @@
-"""Objects that a named fingertip presses, from the tables of an object's file.
+"""Objects that a named fingertip presses, from the tables of an object file.
 
-``[fingertip]`` alone is the finger on a rigid flat; with ``[material]`` it is on a thick flat of a named
-Young's modulus, and with ``[compliance]`` on one that `palpate read` has read. ``[specimen]`` is one of
-the report's silicone specimens, with a finger of its own.
+``[fingertip]`` alone is a rigid flat; ``[material]`` or ``[compliance]`` gives the flat's modulus.
+``[specimen]`` is a published silicone specimen with a finger of its own.
 """
 
 from __future__ import annotations
@@ -32,28 +31,14 @@ from palpate.softness.object_fields import (
     table_of,
     word,
 )
-from palpate.softness.specimens import (
-    SOFTENER,
-    SpecimenClass,
-    specimen_object,
-    specimens,
-)
+from palpate.softness.specimens import SOFTENER, SpecimenClass, specimen_object, specimens
 from palpate.softness.touched_flat import CUES, Cylinder, read_touched_flat
 
 UNDER = ("material", "compliance")
 
 
 def fingertip_press(name: str, fields: Mapping[str, Any], folder: Path) -> SoftObject:
-    """What a finger feels of a rigid flat, of a material, or of a measured object.
-
-    Args:
-        name: of the object.
-        fields: of the whole file, ``[fingertip]`` among them.
-        folder: in which files named in it are looked for.
-
-    Raises:
-        InputError, RangeError, UnitError, StorageError: as `read_object` says.
-    """
+    """Return what a finger feels of a rigid flat, a material, or a measured object."""
     own = table_of("fingertip", fields["fingertip"])
     tip = _fingertip(own)
     until = above_zero("fingertip", own, "until_N")

@@ -1,4 +1,4 @@
-"""Where a finger means to be while it presses: cosines of a frequency, holds, and tremor on top."""
+"""Commanded motion of a pressing finger: cosine presses with tremor."""
 
 from __future__ import annotations
 
@@ -29,15 +29,7 @@ class MeantMotion(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class FingerPresses:
-    """A finger that comes down, presses again and again, and leaves.
-
-    Attributes:
-        depth_m: to which it means to go past first touch [m].
-        frequency_hz: of presses [Hz].
-        gap_m: by which it hangs above the surface between them [m].
-        starts_s: when it comes down first [s].
-        count: of presses; it stays above after them.
-    """
+    """Presses to a commanded depth past first touch, starting a gap above the surface."""
 
     depth_m: float
     frequency_hz: float = 1.0
@@ -67,9 +59,6 @@ class FingerPresses:
 
 
 def depth_for(soft: SoftObject, force_n: float, finger: FingerMechanics) -> float:
-    """Depth to which a finger has to mean to go, so that a slow press ends at a force [m].
-
-    What the object gives way, the pulp's compression, and by how much the muscles lag under that force.
-    """
+    """Return the commanded depth [m] of a slow press to a force: object, pulp, and muscle compliance."""
     pulp = math.log1p(force_n / finger.pulp_n) / finger.pulp_per_m
     return float(soft.displacement.at_force(force_n)) + pulp + force_n / finger.stiffness_n_m

@@ -1,9 +1,6 @@
-"""How fast a display's pressure follows: gain and phase over frequency, tip held still half way.
+"""Frequency response of a display's pressure, with the tip held halfway.
 
-A sine is told to any display, with the rate at which it goes on, and the display's own pressure sensor is
-fitted by a sine of the same frequency; nothing of the display is known beforehand. A valve with overlap
-answers a small sine worse than a large one, and a valve that is wide open cannot follow a large one: so the
-amplitude belongs to the answer.
+The response depends on the amplitude: valve overlap attenuates small sines, saturation large ones.
 """
 
 from __future__ import annotations
@@ -38,14 +35,7 @@ Column = Float[ndarray, " n"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PressureResponse:
-    """Answer of a pressure to sines of one amplitude.
-
-    Attributes:
-        amplitude_pa: as told [Pa].
-        frequency_hz: rising [Hz].
-        gain: amplitude measured over the one told.
-        phase_rad: of what is measured, negative where it is late, without jumps [rad].
-    """
+    """Gain and unwrapped phase (negative when late) of a pressure to sines of one amplitude."""
 
     amplitude_pa: float
     frequency_hz: Column
@@ -54,11 +44,7 @@ class PressureResponse:
 
     @property
     def bandwidth_hz(self) -> float:
-        """Lowest frequency at which the gain falls to 0.71, -3 dB [Hz].
-
-        Interpolated over the logarithm of frequency. Infinite where it does not fall so far, and nought where
-        it is below from the first.
-        """
+        """Lowest frequency at which the gain falls to -3 dB [Hz]; infinite if never, 0 if from the first."""
         below = self.gain < HALF_POWER
         if not below.any():
             return math.inf
@@ -84,21 +70,9 @@ def measure_pressure_response(
     frequencies_hz: tuple[float, ...] = FREQUENCIES_HZ,
     progress: Progress = silent,
 ) -> PressureResponse:
-    """Tell a display a sine at each frequency; it is vented at the end, whatever happens.
+    """Measure the response at each frequency, up to 200 Hz; the display is always vented at the end.
 
-    The tip has to be held still, half way, by something that yields little: a tip that moves pumps the gas.
-
-    Args:
-        display: released here, and told its pressure once in a period of 1 ms.
-        amplitude_pa: of the sine [Pa].
-        clock: of the periods.
-        middle_pa: about which it goes [Pa].
-        frequencies_hz: rising, to 200 Hz at most [Hz].
-        progress: called with each frequency.
-
-    Raises:
-        RangeError: a pressure beyond the display's range, or a frequency beyond what periods of 1 ms show.
-        DeviceError: the display does not answer, or says a fault.
+    The tip must be held stiffly halfway: a moving tip pumps the gas.
     """
     if not 0 < amplitude_pa <= min(middle_pa, display.range.greatest_pa - middle_pa):
         raise RangeError(

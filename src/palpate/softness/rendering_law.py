@@ -1,26 +1,16 @@
-"""What a cone display and an arm in series have to do, so that a finger feels both cues of an object.
+"""References of a cone display and an arm in series that present both cues of an object.
 
-With the display's displacement s, its area A(s) and an object whose force is alpha(A) and beta(d),
+With the display's push s and area A(s), and an object of force alpha(A) and beta(d),
 
-    p = alpha(A) / A,     P = p A,     d_arm = beta^-1(P) - s,
+    p = alpha(A) / A,     P = p A,     d_arm = beta^-1(P) - s.
 
-which needs the display's own displacement alone: P over p is A. The report writes the last term as (H / R)
-sqrt(P / (p pi)), which is s.
+alpha(A) / A diverges at contact onset if alpha(0) > 0. Below an area A_b the force is P = c1 A + c2 A^2 with
+the value and slope of alpha at A_b, the smallest tabulated area at which c1 and c1 + c2 A_b lie within 0 and
+the greatest pressure. A state is not rendered below A_b, beyond the bounds of pressure, force, area, or arm,
+or where a sleeve already pushes more than alpha(A).
 
-**Where contact begins**, alpha(A) / A grows beyond all bounds if alpha(0) > 0. Below an area A_b the force is
-
-    P = c1 A + c2 A^2    with the value and slope of alpha at A_b,
-
-so that p = c1 + c2 A is a straight line: A_b is the smallest area of the table at which neither end of that
-line is above the greatest pressure or below 0, and the force still rises. An object with alpha / A bounded
-has A_b where its table begins.
-
-**Not rendered** is what lies below A_b, needs more pressure or force than there is, more area than the base
-has, or more way than the arm has; and where a sleeve of stiffness k already pushes more than alpha(A), since
-p = (alpha(A) - k s) / A cannot be less than 0. There the pressure is held within its bounds, and it is said.
-
-Modes: ``CM1`` renders both cues; ``CM2`` is for an arm with a rigid plate in place of the display, which
-feels beta alone; ``CM3`` renders alpha, and the arm takes back the display's way, so that the whole stays.
+Modes: ``CM1`` renders both cues; ``CM2`` has a rigid plate on the arm and renders beta; ``CM3`` renders alpha
+while the arm retracts the display's push.
 
 Reference: E. P. Scilingo, M. Bianchi, G. Grioli, A. Bicchi, Rendering softness, IEEE Trans. Haptics 3 (2010)
 109, doi:10.1109/TOH.2010.2, sections 3.2 and 4.3.
@@ -75,13 +65,7 @@ LIMIT_WORDS: Mapping[str, str] = {
 
 @dataclass(frozen=True, slots=True)
 class DisplayBounds:
-    """What the devices can do.
-
-    Attributes:
-        pressure_pa: greatest gauge pressure of the chamber [Pa].
-        force_n: greatest force on the finger [N].
-        arm_m: least and greatest displacement of the arm, towards the finger's press [m].
-    """
+    """Limits of the devices; `arm_m` is towards the finger's press."""
 
     pressure_pa: float = 100e3
     force_n: float = 10.0
@@ -104,16 +88,7 @@ class DisplayBounds:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rendered:
-    """What is asked of the devices at displacements of the display, an array each.
-
-    Attributes:
-        pushed_m: displacement of the display [m].
-        area_m2: contact area [m^2].
-        pressure_pa: gauge pressure [Pa].
-        force_n: on the finger, p A and the sleeve's [N].
-        arm_m: displacement of the arm [m].
-        limit: why a state is not rendered; "" where it is.
-    """
+    """References at display pushes; `limit` is the reason why a state is not rendered, or ""."""
 
     pushed_m: Array
     area_m2: Array
@@ -135,14 +110,7 @@ class Rendered:
 
 @dataclass(frozen=True)
 class RenderingLaw:
-    """References of both devices for one object.
-
-    Attributes:
-        object: what is to be felt.
-        display: through what.
-        bounds: of the devices.
-        mode: which cues.
-    """
+    """References of both devices for one object."""
 
     object: SoftObject
     display: ConeDisplay = field(default_factory=ConeDisplay)
@@ -164,15 +132,7 @@ class RenderingLaw:
         return find_onset(self.object, self.bounds.pressure_pa, self.display.greatest_m2)
 
     def at(self, pushed_m: float | Array) -> Rendered:
-        """References at displacements of the display.
-
-        Args:
-            pushed_m: of 0 to the display's height [m].
-
-        Raises:
-            RangeError: a displacement outside that, or that is not a number.
-            InputError: in CM2, where no display is.
-        """
+        """Return the references at display pushes of 0 to the height [m]."""
         if self.mode is Mode.KINESTHETIC:
             raise InputError("in CM2 a rigid plate is in place of the display; ask plate_force")
         pushed = np.atleast_1d(np.asarray(pushed_m, float))
@@ -210,13 +170,7 @@ class RenderingLaw:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Onset:
-    """Force over area with its first piece replaced by c1 A + c2 A^2.
-
-    Attributes:
-        area_m2: where that piece ends [m^2].
-        c1: pressure at no area [Pa].
-        c2: by which it grows [Pa/m^2].
-    """
+    """Force over area, replaced by c1 A + c2 A^2 below `area_m2`."""
 
     alpha: Characteristic
     area_m2: float
@@ -230,11 +184,7 @@ class Onset:
 
 
 def find_onset(soft: SoftObject, pressure_pa: float, greatest_m2: float) -> Onset:
-    """The smallest area from which on an object can be rendered as it is.
-
-    Raises:
-        RangeError: there is none below the display's greatest area.
-    """
+    """The smallest area from which on an object can be rendered as it is."""
     alpha = soft.area
     for area, force, slope in _corners(alpha):
         if area > greatest_m2:

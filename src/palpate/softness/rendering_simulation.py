@@ -1,8 +1,4 @@
-"""A rendering simulated from a finger's presses to what it felt, and how well both cues were kept.
-
-The bench is the virtual one, at accelerated time; the loop is the one that renders on devices. What is scored
-is the bench's own state, not what its sensors say. All is simulated: no device was measured.
-"""
+"""A rendering simulated on the virtual bench in accelerated time, and its deviation from both cues."""
 
 from __future__ import annotations
 
@@ -30,15 +26,12 @@ MIN_N = 0.01  # of force, from which a finger is said to touch
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rendering:
-    """What a finger felt, period by period; the first press is left out of the scores.
+    """Simulated presses, one value per period; the first press is not scored.
 
     Attributes:
-        law: what was rendered.
-        frequency_hz: of presses [Hz].
-        time_s, force_n, pushed_m, area_m2, arm_m, pressure_pa: of the bench [s], [N], [m], [m^2], [m], [Pa].
-        told_pa: pressure that the loop asked for [Pa].
-        work_j: that the finger had done on the object so far [J].
-        largest_n: greatest force of all steps, also between periods [N].
+        told_pa: commanded pressure [Pa].
+        work_j: cumulative work of the finger on the object [J].
+        largest_n: greatest force, also between periods [N].
     """
 
     law: RenderingLaw
@@ -110,14 +103,7 @@ def virtual_bench(
     parts: BenchParts | None = None, servo: PressureServo | None = None, starts_s: float = 0.0,
     watchdog_s: float = WATCHDOG_S,
 ) -> tuple[RenderingBench, RenderingLaw]:  # fmt: skip
-    """A virtual bench under a finger that presses an object, and the law that it is to keep.
-
-    Args:
-        soft, mode, peak_n, frequency_hz, seed, parts, servo: as in `simulate`.
-        clock: that it follows.
-        starts_s: when the finger comes down first [s].
-        watchdog_s: of both devices [s].
-    """
+    """Return a virtual bench under a pressing finger, and its law; arguments as in `simulate`."""
     parts = replace(parts or BenchParts(), plate=mode is Mode.KINESTHETIC)
     felt = soft if mode is not Mode.CUTANEOUS else _still(soft)
     finger = FingerPresses(depth_for(felt, peak_n, parts.finger), frequency_hz, starts_s=starts_s)
@@ -129,23 +115,7 @@ def simulate(
     parts: BenchParts | None = None, servo: PressureServo | None = None, presses: int = PRESSES,
     progress: Progress = silent,
 ) -> Rendering:  # fmt: skip
-    """Press an object as the bench renders it.
-
-    Args:
-        soft: the object.
-        mode: CM1, CM2 or CM3.
-        peak_n: force that a slow press would come to [N].
-        frequency_hz: of presses [Hz].
-        seed: of the sensors' noise.
-        parts: of the bench, as they truly are.
-        servo: of its pressure.
-        presses: how many.
-        progress: hears how many periods are done.
-
-    Raises:
-        Tripped: the loop's guard stopped it.
-        RangeError: the object cannot be rendered, or has no such force.
-    """
+    """Simulate presses of a rendered object; `peak_n` is the force of a slow press."""
     clock = ManualClock()
     bench, law = virtual_bench(soft, mode, clock, peak_n, frequency_hz, seed=seed, parts=parts, servo=servo)
     loop = RenderingLoop(bench.display_if_any, bench.arm, ReferenceTable(law), clock)

@@ -1,24 +1,11 @@
-"""The report's silicone specimens of two cylinders, in three classes, under an elastic ball of a finger.
+"""Two-cylinder silicone specimens of the published classes under an elastic ball.
 
-    CL1  two cylinders of one silicone
-    CL2  a rigid cylinder on one of silicone
-    CL3  two silicones, and the same two the other way round
+    CL1  two cylinders of one silicone;  CL2  a rigid cylinder on silicone;  CL3  two silicones, and mirrored
 
-Each cylinder is 7 mm tall with a radius of 18.5 mm; five silicones have 0, 10, 20, 35 and 45 % of softener.
-Their Young's moduli stand in the report's Figure 6 alone, of which no numbers are known here: they are to be
-given, falling as softener is added.
+Young's moduli are given by the caller. CL1 and CL3 are laterally infinite bonded layers (`finger_on_stack`).
+CL2 is a finger on a rigid flat in series with a bonded disc (Gent and Lindley),
 
-CL1 and CL3 are layers bonded to each other and to a rigid table, reaching sideways without end
-(`finger_on_stack`): real ones are free at their sides and so yield more. CL2 is the finger on a rigid flat,
-in series with a disc bonded to two rigid plates and free at its side, by Gent and Lindley,
-
-    F = E_a A d / h,    1 / E_a = 1 / [E (1 + 2 S^2)] + 3 (1 - 2 nu) / E,    S = radius / 2 h,
-
-which of an incompressible disc is the homogeneous compression plus the pressure that its bonded faces hold.
-
-The report chose CL3 to have one force over displacement. In a line of springs that asks for one sum of 1 / E
-in all (`series_spread`), which mirrored pairs have by themselves and the middle specimen has by its moduli
-alone. In a contact the upper layer counts more, so that mirrored pairs differ too.
+    F = E_a A d / h,    1 / E_a = 1 / [E (1 + 2 S^2)] + 3 (1 - 2 nu) / E,    S = radius / 2 h.
 
 References: E. P. Scilingo, M. Bianchi, G. Grioli, A. Bicchi, Rendering softness, IEEE Trans. Haptics 3 (2010)
 109, doi:10.1109/TOH.2010.2, sec. 4.2; A. N. Gent, P. B. Lindley, The compression of bonded rubber blocks,
@@ -59,15 +46,7 @@ class SpecimenClass(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class StackedSpecimen:
-    """Two cylinders on a rigid table.
-
-    Attributes:
-        kind: class.
-        name: such as ``CL3 0 % on 45 %``.
-        above_pa: Young's modulus of the upper cylinder; infinite for a rigid one [Pa].
-        below_pa: of the lower [Pa].
-        poisson: of the silicone.
-    """
+    """Two cylinders on a rigid table; `above_pa` is infinite for a rigid one."""
 
     kind: SpecimenClass
     name: str
@@ -79,17 +58,7 @@ class StackedSpecimen:
 def specimens(
     kind: SpecimenClass, moduli_pa: Sequence[float], poisson: float = POISSON
 ) -> tuple[StackedSpecimen, ...]:
-    """The five specimens of a class.
-
-    Args:
-        kind: class.
-        moduli_pa: Young's moduli with 0, 10, 20, 35 and 45 % of softener, falling [Pa].
-        poisson: of the silicone, 0 to below 0.5.
-
-    Raises:
-        InputError: not five moduli, or they do not fall.
-        RangeError: a modulus that is not above 0 and finite, or a Poisson's ratio outside its range.
-    """
+    """Return the five specimens of a class; moduli fall with 0, 10, 20, 35, and 45 % softener."""
     E = [float(one) for one in moduli_pa]
     if len(E) != len(SOFTENER):
         raise InputError(
@@ -144,17 +113,7 @@ def bonded_disc_n_m(modulus_pa: float, poisson: float, radius_m: float, height_m
 
 
 def specimen_object(one: StackedSpecimen, finger: Body, until_n: float | None = None) -> SoftObject:
-    """Both cues of a specimen under a finger.
-
-    Args:
-        one: specimen.
-        finger: an elastic ball; its modulus is over 1 - nu^2. The report's radius is 15 mm.
-        until_n: force at which both curves end; without, where small strain ends [N].
-
-    Raises:
-        RangeError: a force that is not above 0, or beyond small strain: a contact of more than half the
-            finger's radius, or silicone pressed in by more than a fifth of its height.
-    """
+    """Return both cues of a specimen under an elastic ball, up to `until_n` or the limit of small strain."""
     solve = _plate if one.kind == SpecimenClass.PLATE else _layers
     try:
         force, approach, area = solve(one, finger, until_n)

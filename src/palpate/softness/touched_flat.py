@@ -1,12 +1,7 @@
-"""A thick elastic flat as a tactile sensor has read it: a modulus with its interval, from a record on disk.
+"""A thick elastic flat as read by a tactile sensor: a modulus with its interval.
 
-`palpate read` reads a modulus, or the stiffness of a cylinder between two plates. Of the latter
-
-    E = kappa h / (pi r^2)                             ends free to slide
-    E from `specimens.bonded_disc_n_m`                 ends that stick to their plates
-
-What is felt through a finger follows from E / (1 - nu^2) alone. Its uncertainty is carried by draws of 1 / E:
-half a Gaussian to either side, with the reading's value for their median and its ends for their quantiles.
+A stiffness of a cylinder between plates is converted, E = kappa h / (pi r^2) for sliding ends. Uncertainty is
+drawn in 1 / E: half a Gaussian to either side, with the value as median and the interval's ends as quantiles.
 """
 
 from __future__ import annotations
@@ -39,13 +34,7 @@ CUES = {
 
 @dataclass(frozen=True, slots=True)
 class Cylinder:
-    """A specimen between two plates, by which its stiffness becomes a modulus.
-
-    Attributes:
-        radius_m, height_m: of it [m].
-        poisson: of its material, 0 to 0.5.
-        ends: whether it sticks to both plates.
-    """
+    """A cylinder between two plates, by which its stiffness becomes a modulus."""
 
     radius_m: float
     height_m: float
@@ -76,15 +65,7 @@ class Cylinder:
 
 @dataclass(frozen=True, slots=True)
 class TouchedFlat:
-    """A flat's Young's modulus over 1 - nu^2, as read.
-
-    Attributes:
-        flat_pa: value [Pa].
-        low_pa, high_pa: ends of its interval; the upper one may be infinite [Pa].
-        coverage: of the interval.
-        calibration: id of the calibration.
-        words: where it is from.
-    """
+    """Young's modulus over 1 - nu^2 of a flat, as read, with its interval (`high_pa` may be infinite)."""
 
     flat_pa: float
     low_pa: float
@@ -119,19 +100,7 @@ class TouchedFlat:
 
 @parser("touched flat", InputError)
 def read_touched_flat(path: Path, use: str, cylinder: Cylinder | None = None) -> TouchedFlat:
-    """A flat from a record of `palpate read`.
-
-    Args:
-        path: its readings.json, or what ``--json`` printed.
-        use: ``modulus``, ``stiffness`` or ``stiffness_both_cues``.
-        cylinder: the specimen that a stiffness is of.
-
-    Raises:
-        InputError: no such record, no valid reading of that quantity, or a stiffness without its cylinder.
-        UnitError: another unit.
-        RangeError: a value that is not above 0.
-        StorageError: it cannot be read.
-    """
+    """Read a flat from readings.json or the ``--json`` output of `palpate read`."""
     if use not in CUES:
         raise InputError(f"a flat by {use!r}; there are {', '.join(CUES)}", code="flat-kind")
     quantity, unit, si = CUES[use]

@@ -33,7 +33,6 @@ class GammaLine(NamedTuple):
         r2: share of the force's variance that it takes, of the frames it was fitted to.
         rms: of what is left [N].
         mae: mean absolute error on presses that were held out [N]; None with one press.
-        frames, presses: how many.
     """
 
     slope: float
@@ -52,7 +51,6 @@ class HysteresisLoop(NamedTuple):
         area: between loading and unloading, integral of F over gamma [N].
         share: of the area below the loading branch.
         width: of force at half of the greatest gamma [N].
-        gamma: the greatest.
         off_line: root mean square of all of the loop from 1 N on about its own line [N].
     """
 
@@ -67,10 +65,7 @@ class TouchDrift(NamedTuple):
     """Change of a value from touch to touch.
 
     Attributes:
-        mean: of the values.
-        spread: their standard deviation.
         change: of their line from the first to the last.
-        error: its standard error.
     """
 
     mean: float
@@ -99,11 +94,7 @@ def r_squared(truth: Series, estimate: Series) -> float:
 
 
 def force_line(gamma: Series, force_n: Series, press: ndarray) -> GammaLine:
-    """Line by least squares, and its error on presses left out one after the other in folds.
-
-    Raises:
-        InputError: fewer than two frames.
-    """
+    """Line by least squares, and its error on presses left out one after the other in folds."""
     line = fit_line(gamma, force_n)
     off = force_n - line.start - line.slope * gamma
     presses = len(np.unique(press))
@@ -131,9 +122,6 @@ def hysteresis_loop(force_n: Series, gamma: Series) -> HysteresisLoop:
 
     Args:
         force_n, gamma: of its frames in order of time, from before contact until after it.
-
-    Raises:
-        InputError: fewer than three frames with a contact on either branch.
     """
     top = int(force_n.argmax())
     up, down = slice(0, top + 1), slice(top, len(force_n))
@@ -164,11 +152,7 @@ def gamma_at(force_n: Series, gamma: Series, at_n: Sequence[float]) -> Places:
 
 
 def drift_of(values: Series) -> TouchDrift:
-    """TouchDrift of values, one a touch, in order.
-
-    Raises:
-        InputError: fewer than three.
-    """
+    """TouchDrift of values, one a touch, in order."""
     if len(values) < BRANCH_FRAMES:
         raise InputError(
             f"a drift needs {BRANCH_FRAMES} touches or more; got {len(values)}", code="too-few-frames"

@@ -290,10 +290,7 @@ def loops(study: NuSenseStudy) -> dict[str, Any]:
         found[name] = {
             "loops": each,
             "mean": {key: float(np.mean([one[key] for one in each])) for key in each[0]},
-            "course": {
-                "gamma": gamma[presses[0]].tolist(),
-                "force_N": samples.force_n[presses[0]].tolist(),
-            },
+            "course": {"gamma": gamma[presses[0]].tolist(), "force_N": samples.force_n[presses[0]].tolist()},
         }
     return found
 
@@ -371,11 +368,7 @@ def damage(study: NuSenseStudy) -> dict[str, Any]:
             raise InputError(f"no press of {name} was read at {DAMAGE_N} N on its way down")
         press = np.repeat(np.arange(len(table)), len(DAMAGE_N))
         line = force_line(table.ravel(), np.tile(DAMAGE_N, len(table)), press)
-        found[name] = {
-            "gamma": table.tolist(),
-            "line": line._asdict(),
-            "flags": _flags(study, name),
-        }
+        found[name] = {"gamma": table.tolist(), "line": line._asdict(), "flags": _flags(study, name)}
     first = found[PADS[0]]["line"]
     for name in PADS[1:]:
         mean = np.mean(found[name]["gamma"], axis=0)

@@ -87,17 +87,10 @@ def reproduce_nusense(
 
     Args:
         out: folder to make; must not exist. It appears when everything is done, with the recordings in it.
-        scale: how large.
-        seed: of everything random.
-        part: "all", or one of `STAGES`.
         progress: called with what is being done.
 
     Returns:
         What ``summary.json`` holds.
-
-    Raises:
-        ExistsError: `out` exists, or unfinished work of another scale, seed or part lies beside it.
-        InputError: there is no such part.
     """
     if part not in PARTS:
         raise InputError(f"there is no part {part!r}; there are {', '.join(PARTS)}", code="unknown-name")

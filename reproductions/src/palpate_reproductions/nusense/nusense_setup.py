@@ -44,7 +44,6 @@ class Recording(NamedTuple):
 
     Attributes:
         pad: preset of the virtual NUSense; empty for the pad as designed.
-        plan: name of its plan.
         session: added to the study's seed: another day on the same rig.
     """
 
@@ -75,9 +74,7 @@ class StudyScale:
     """One size of the study.
 
     Attributes:
-        name: as it is asked for.
         changes: for each recording, fields that take the place of its plan's.
-        common: the same for all recordings.
     """
 
     name: str
@@ -118,11 +115,7 @@ SCALES: Mapping[str, StudyScale] = {scale.name: scale for scale in (SMALL, FULL)
 
 
 def scale_named(name: str) -> StudyScale:
-    """A scale by name.
-
-    Raises:
-        InputError: there is none of that name.
-    """
+    """A scale by name."""
     if name not in SCALES:
         raise InputError(f"there is no scale {name!r}; there are {', '.join(SCALES)}", code="unknown-name")
     return SCALES[name]
@@ -133,9 +126,6 @@ class NuSenseStudy:
     """Folder of the study, in which every recording, reading and result is made once.
 
     Attributes:
-        folder: of everything.
-        scale: how large it is.
-        seed: of everything random.
         progress: called with what is being done.
     """
 

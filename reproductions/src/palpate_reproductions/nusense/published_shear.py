@@ -28,12 +28,7 @@ Series = Float[ndarray, " n"]
 
 
 class ShearCurve(NamedTuple):
-    """Gamma by equation (3.1) over force.
-
-    Attributes:
-        force_n: rising [N].
-        gamma: of these forces.
-    """
+    """Gamma by equation (3.1) over force."""
 
     force_n: Series
     gamma: Series
@@ -74,7 +69,6 @@ def scale_of_published_shear(
     """What the curve makes of measured gamma: without a fit, and with one scale of gamma.
 
     Args:
-        curve: of the tip.
         gamma, force_n, press: of frames on loading branches.
     """
     expected = np.interp(force_n, curve.force_n, curve.gamma)

@@ -33,11 +33,10 @@ class QuadSettings:
         diameter_px, colour_sigma, space_sigma: of the bilateral filter [px, grey levels, px].
         edge_threshold: Sobel gradient beyond which a pixel is an edge [sums of the 3 x 3 masks, grey levels].
         structure_px: side of the square by which edges are dilated, then eroded [px].
-        dilations, erosions: how often.
         bend: greatest distance of a contour from its quadrilateral, of its length.
         area: smallest and largest area of a quadrilateral, in squares of the pitch.
-        c_th: greatest distance between the middles of two quadrilaterals that meet, in pitches: bright
-            tiles that meet diagonally are 1.41 apart, the next ones 2.
+        c_th: greatest distance between the middles of two quadrilaterals that meet, in pitches: bright tiles
+            that meet diagonally are 1.41 apart, the next ones 2.
     """
 
     pitch_px: float = 24.0
@@ -84,9 +83,6 @@ def published_stages(frame: Shaped[ndarray, ...], settings: QuadSettings | None 
     Args:
         frame: 8-bit RGB ``[h w 3]`` or grey ``[h w]``.
         settings: the numbers; the defaults if not given.
-
-    Raises:
-        ImageError: another kind of frame, or a region beyond it.
     """
     own = settings or QuadSettings()
     cropped = _cropped(frame, own)
@@ -139,9 +135,6 @@ def quad_midpoints(frame: Shaped[ndarray, ...], settings: QuadSettings | None = 
     Args:
         frame: 8-bit RGB ``[h w 3]`` or grey ``[h w]``.
         settings: the numbers; the defaults if not given.
-
-    Raises:
-        ImageError: another kind of frame, or a region beyond it.
     """
     own = settings or QuadSettings()
     cropped = _cropped(frame, own)

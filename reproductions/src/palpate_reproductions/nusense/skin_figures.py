@@ -34,9 +34,7 @@ def force_lines(
     """Force over gamma with a line each and the printed one; beside it what a formula makes of each tip.
 
     Args:
-        shown: tips or pads.
         printed: slope and offset [N].
-        curves: by name, ``gamma`` and ``force_N``.
     """
     with styled_panels(10.6, 3.9, 1, 2) as (figure, (left, right)):
         for axes in (left, right):
@@ -70,11 +68,7 @@ def _line(
 
 
 def shift_map(fields: StrainFields | None) -> str:
-    """How far each sample of the pattern has moved, and which way; empty without fields.
-
-    Args:
-        fields: of marks in m.
-    """
+    """How far each sample of the pattern has moved, and which way; empty without fields."""
     if fields is None:
         return ""
     with styled_panels(6.6, 4.4) as (figure, (axes,)):

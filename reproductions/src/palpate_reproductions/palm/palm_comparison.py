@@ -35,10 +35,7 @@ WARM = 3  # calls at the start of a round that are not timed
 
 
 def times_in_turn(
-    calls: Sequence[Callable[[], object]],
-    rounds: int,
-    each: int,
-    progress: Callable[[int, int], None],
+    calls: Sequence[Callable[[], object]], rounds: int, each: int, progress: Callable[[int, int], None]
 ) -> list[list[float]]:
     """Times of each call [s], so many in each round, so that all see the machine's other work.
 

@@ -83,10 +83,7 @@ class PalmCondition:
     """Something that differs from the calibration.
 
     Attributes:
-        name: of its recording.
-        said: in words.
         change: of the palm and of what varies.
-        campaign: added to the seed.
         where: "off" the grid, at the grid's "own" places, or "beyond" them.
     """
 

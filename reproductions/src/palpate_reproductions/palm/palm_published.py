@@ -116,16 +116,12 @@ def scores_of(table: pd.DataFrame, columns: Sequence[str], group: str = GROUP) -
 
     Args:
         table: as `calibration.evaluation.predictions` makes it; rows that could not be read are left out.
-        columns: the targets.
         group: the column whose values are drawn anew for the intervals.
 
     Returns:
         ``{target: {"unit", "mae", "mae_low", "mae_high", "rmse", "r2", "n", "groups", "coverage",
         "coverage_low", "coverage_high", "half_width"}}``; the place, where x and y are among the targets, by
         the distance (and without an interval of its own).
-
-    Raises:
-        InputError: no row was read, or the distances break the law of triangles: a fault in here.
     """
     read = table[[f"estimate:{c}" for c in columns]].notna().all(axis=1)
     if not read.any():

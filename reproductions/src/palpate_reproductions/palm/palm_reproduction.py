@@ -262,7 +262,6 @@ def reproduce_palm(
 
     Args:
         out: folder to make; must not exist. It appears when everything is done.
-        scale: how large.
         seed: of everything random: the rig's noise, which places are held out, the networks' beginnings.
         part: "all", "headline" for the comparison of the models alone, or one of `STAGES`, which is kept in
             the unfinished work that a later call for all or for the headline goes on with.
@@ -270,11 +269,6 @@ def reproduce_palm(
 
     Returns:
         The numbers, as `summary.json` holds them.
-
-    Raises:
-        ExistsError: `out` exists, or unfinished work of another scale or seed lies beside it.
-        InputError: there is no such part.
-        PalpateError: stages have failed; the message names them, and what the first said.
     """
     if part not in PARTS and part not in STAGES:
         raise InputError(f"no part {part!r}; there are {', '.join((*PARTS, *STAGES))}", code="unknown-name")
@@ -308,10 +302,6 @@ def _made(study: StudyFolder, stages: Stages) -> dict[str, Any]:
 
 
 def study_folder(out: Path, scale: Scale, seed: int, progress: Progress = silent) -> StudyFolder:
-    """The folder of unfinished work towards `out`, made or found again.
-
-    Raises:
-        ExistsError: `out` exists, or work of another scale or seed lies beside it.
-    """
+    """The folder of unfinished work towards `out`, made or found again."""
     asked = {"study": "palm", "scale": scale.name, "seed": seed}
     return StudyFolder(unfinished_work(out, asked), scale, seed, progress)

@@ -59,7 +59,6 @@ class Scale:
     """One size of the study.
 
     Attributes:
-        name: as it is asked for.
         side_px: of each view, as models see it [px].
         frame_px: of each view, as the camera takes it [px].
         cycles, step_mm, depth_mm, frames: of the protocol at the grid's 37 places; see `StepHold`.
@@ -67,7 +66,6 @@ class Scale:
             conditions that are only tested under, every `coarse_step_mm`.
         options: model -> settings with which it learns until watched places gain no more.
         common: settings of every network where all are given the same number of steps.
-        steps: that number.
         control_steps: of `palm-compact`, where it is trained many times over.
         loads: pictures of each kind of contact that is not one upright ball.
         folds: parts that the grid's places are dealt into.
@@ -192,11 +190,7 @@ frames at each depth; they differ by the camera's noise alone, and `full` takes 
 
 
 def scale_of(name: str) -> Scale:
-    """A scale by name.
-
-    Raises:
-        InputError: there is none of that name.
-    """
+    """A scale by name."""
     if name not in SCALES:
         raise InputError(f"there is no scale {name!r}; there are {', '.join(SCALES)}", code="unknown-name")
     return SCALES[name]
@@ -211,11 +205,8 @@ class CalibrationSetup:
 
     Attributes:
         name: of its calibration in the folder.
-        model: see `estimators.networks.MODELS`.
         run: which recording it learns from.
-        split: how rows are held out.
         channels, delta: what it sees; None for what the model was made for.
-        options: the model's own settings.
         targets: what it shall estimate; empty for what the model was made for, or depth, place and force.
     """
 
@@ -239,11 +230,7 @@ class StudyFolder:
     """Folder of the study.
 
     Attributes:
-        folder: of everything.
-        scale: how large it is.
-        seed: of everything random.
         progress: called with what is being done.
-        processes: how many draw pictures.
     """
 
     folder: Path

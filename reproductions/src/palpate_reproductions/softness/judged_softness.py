@@ -64,7 +64,6 @@ class JudgedPair:
 
     Attributes:
         presentation, condition, name: which.
-        predicted: probability of the right answer.
         printed: share of right answers, None where the text prints none.
     """
 
@@ -80,8 +79,6 @@ class TouchDifference:
     """Total accuracy of rendered touch less that of direct touch, in one condition.
 
     Attributes:
-        condition: which.
-        value: difference.
         cells: interval of 150 answers taken as independent, which they are not.
         rankings: interval of 30 rankings of each, simulated by observers that were fitted.
     """
@@ -104,10 +101,8 @@ class JudgedSoftness:
             other order: its median and the nine tenths' end.
         wrong_sign: composite likelihood that the plain observer loses with its sign turned, by presentation,
             of K and C together.
-        pairs: Figures 10 and 11.
-        differences: section 5.5.
-        gains: how much further apart CL1's specimens are than CL2's in displacement and CL3's in area, in
-            the logarithm, by the mechanics with assumed moduli.
+        gains: how much further apart CL1's specimens are than CL2's in displacement and CL3's in area, in the
+            logarithm, by the mechanics with assumed moduli.
     """
 
     predictions: Mapping[Presentation, Mapping[str, CuePrediction]]
@@ -126,9 +121,7 @@ def judged_softness(
     """Recompute the tables and test observers on them.
 
     Args:
-        stacked: the report's specimens by class.
         at_n: force at which they are compared [N].
-        seed: of simulated rankings.
     """
     rng = np.random.default_rng(seed)
     gains = _gains(stacked, at_n)

@@ -26,8 +26,6 @@ class PublishedRanking:
     """One confusion matrix, and the accuracies that are printed beside it.
 
     Attributes:
-        presentation, condition: which.
-        confusion: its counts.
         relative: printed accuracy of each stimulus [%].
         total: printed total accuracy [%].
         where: table and name of the matrix.

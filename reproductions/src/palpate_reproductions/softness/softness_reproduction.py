@@ -69,9 +69,6 @@ def reproduce_softness(out: Path, *, seed: int = 0, progress: Progress = silent)
 
     Returns:
         What ``summary.json`` holds.
-
-    Raises:
-        ExistsError: `out` exists.
     """
     with new_folder(out) as folder:
         pairs = ambiguous_pairs()
@@ -93,9 +90,6 @@ class AmbiguousPair:
     """Two objects that one cue does not tell apart.
 
     Attributes:
-        names: of the two.
-        cue: which does not.
-        one, other: the two.
         printed_mm: radius of the other, as printed [mm].
     """
 

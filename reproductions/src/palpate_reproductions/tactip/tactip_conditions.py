@@ -100,9 +100,6 @@ def recorded(
     """A trial with only its frames from 0.5 to 5 N, and their smoothed forces [N].
 
     Args:
-        spec: the sensor; its speed counts.
-        kappa_n_m: of the specimen [N/m].
-        seed: of seating and noise.
         steps: None for the frames that there are; else that many even steps of time for any specimen, which
             are even steps of approach on an ideal rig.
         rig: that drives the tip; None for an ideal one.
@@ -154,10 +151,9 @@ class FlowCues:
     """One trial.
 
     Attributes:
-        kappa_n_m: of the specimen.
         steps: from frame to frame.
-        values: by source ("flow", "true"), region, and way of `WAYS`; the first is accumulated from 1 to
-            4 N, the others are in m^2/N, of all steps, with the report's first area, that of all pins.
+        values: by source ("flow", "true"), region, and way of `WAYS`; the first is accumulated from 1 to 4 N,
+            the others are in m^2/N, of all steps, with the report's first area, that of all pins.
         casr_m2_n: secant of the true contact area.
     """
 
@@ -202,7 +198,6 @@ class Row:
 
     Attributes:
         condition, source, region, way: which; see `FlowCues`.
-        mean, spread: over trials, of every specimen.
         concordance: over pairs of trials on two specimens, the share in which the softer has the greater
             value less the share in which it has the smaller: 1 is right always, -1 reversed always.
     """
@@ -241,7 +236,6 @@ class TacTipCondition:
     """The sensor, and the steps of a press: equal for all specimens, or None for the camera's frames.
 
     Attributes:
-        spec, steps: sensor and steps.
         rig: that drives the tip; None for an ideal one.
     """
 
@@ -286,9 +280,7 @@ CONDITIONS = conditions_of(ASSUMED)
 
 
 def compared(
-    names: Sequence[str] = tuple(CONDITIONS),
-    seeds: Sequence[int] = range(5),
-    base: TacTipSpec = ASSUMED,
+    names: Sequence[str] = tuple(CONDITIONS), seeds: Sequence[int] = range(5), base: TacTipSpec = ASSUMED
 ) -> tuple[Row, ...]:
     """Every cue of a sensor under every condition; about a second a trial."""
     conditions = conditions_of(base)

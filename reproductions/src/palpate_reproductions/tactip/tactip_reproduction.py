@@ -71,7 +71,6 @@ class Study:
         plates: specimens under a rigid plate on an ideal rig.
         driven: the same on the linear rig, by the displacement over which force is set.
         experiments: by tilt [deg].
-        controls: of divergence.
         seed, trials, seconds: as asked for, and what it took.
     """
 
@@ -91,16 +90,11 @@ def reproduce_tactip(
 
     Args:
         out: folder to make; it appears when all is done.
-        seed: of everything random.
         trials: of each specimen at each tilt, beside as many that calibrate; 2 or more.
         progress: called at every press.
 
     Returns:
         What ``summary.json`` holds.
-
-    Raises:
-        ExistsError: `out` exists.
-        InputError: too few trials.
     """
     if trials < 2:
         raise InputError(f"{trials} trials; 2 or more, the report has 5", code="trial-count")

@@ -83,8 +83,6 @@ class Experiment:
     """Specimens at one tilt.
 
     Attributes:
-        tilt_deg: of their tops [deg].
-        cues: of every specimen its trials.
         calibration: on the first five trials of the references.
         touch: readings of the new specimen, its trials together.
         table: a row a trial that the calibration has not seen, with every cue.
@@ -108,9 +106,6 @@ def press_all(
     """Press, calibrate on the references, read the rest.
 
     Args:
-        spec: the virtual sensor.
-        tilt_deg: of the specimens' tops [deg].
-        seed: of everything random.
         calibrating, testing: trials of each reference; the new specimen has `testing` alone.
         progress: called at every press.
     """
@@ -166,9 +161,6 @@ def under_plate(
 
     Args:
         spec: the sensor, of whose rig are speed, force sensor and seating.
-        name: of the specimen.
-        trials: presses.
-        seed: of everything random.
         rig: that drives the plate; None for an ideal one, whose encoder has what was asked for.
         over: deformation as the encoder has it, or as it was asked for.
     """

@@ -1,31 +1,15 @@
-"""Conditions compared over participants: logistic models of right answers, and an exact test.
+"""Conditions compared over participants: logistic models of correct answers, and an exact test.
 
-Three ways, since each has another claim:
+`marginal_log_odds` is a generalized estimating equation with independent working correlation and the sandwich
+covariance of participants. `fit_mixed_logistic` has a random intercept per participant (adaptive
+Gauss-Hermite) and a log-F(1, 1) penalty; it assumes one effect for all people, so that its p is too small
+where effects differ. `sign_flip_p` is exact for few participants. Intervals are Student's, participants less
+one.
 
-* `marginal_log_odds` is a generalised estimating equation with one mean a condition and answers of a
-  participant taken as independent: then the estimates are the pooled proportions' log odds, and the
-  covariance is the sandwich of whole participants. It speaks of the population's odds.
-* `fit_mixed_logistic` has a random intercept of each participant, logit P = beta_condition + b, b ~ N(0, s²),
-  integrated by Gauss and Hermite about each participant's likeliest intercept. It speaks of one participant's
-  odds, which are further from even. Each condition has the penalty of a log-F(1, 1) prior, one half of an
-  answer each way, so that 30 right of 30 have a finite beta.
-* `sign_flip_p` asks of participants' own differences between two conditions whether their signs could as
-  well be otherwise. It is exact for few participants, and stands where a model is not to be told.
-
-Intervals are Student's with one degree of freedom less than there are participants. Of ten participants in
-400 simulated studies the mixed model's 95 % intervals held in 97.5 to 98.5 %; where nothing differed p was
-below 0.05 in 2 to 3 % by the mixed model, 5 to 6.5 % by the estimating equation, 2 to 4 % by signs.
-
-The mixed model has no random slope: it takes conditions to differ by the same for all people. Where nothing
-differs on average, but participants' own differences scatter by 1 logit, its p is below 0.05 in 10 % of
-studies of 12 answers a condition and in 28 % of 40 answers; the estimating equation's in 4 to 5 %, that of
-signs in 3 to 4 %. So answers are told by signs, and the mixed model stands beside them.
-
-References: K.-Y. Liang, S. L. Zeger, Biometrika 73 (1986) 13, doi:10.1093/biomet/73.1.13; of few
-participants L. A. Mancl, T. A. DeRouen, Biometrics 57 (2001) 126,
-doi:10.1111/j.0006-341X.2001.00126.x; S. Greenland, M. A. Mansournia, Statist. Med. 34 (2015) 3133,
-doi:10.1002/sim.6537; of nodes about each participant's own answers Q. Liu, D. A. Pierce, Biometrika 81 (1994)
-624, doi:10.1093/biomet/81.3.624.
+References: K.-Y. Liang, S. L. Zeger, Biometrika 73 (1986) 13, doi:10.1093/biomet/73.1.13; L. A. Mancl,
+T. A. DeRouen, Biometrics 57 (2001) 126, doi:10.1111/j.0006-341X.2001.00126.x; S. Greenland, M. A. Mansournia,
+Statist. Med. 34 (2015) 3133, doi:10.1002/sim.6537; Q. Liu, D. A. Pierce, Biometrika 81 (1994) 624,
+doi:10.1093/biomet/81.3.624.
 """
 
 from __future__ import annotations
@@ -51,18 +35,7 @@ STEP = 1e-4  # over which a slope is differenced, logits
 
 @dataclass(frozen=True)
 class ConditionCounts:
-    """Right answers of participants in conditions.
-
-    Attributes:
-        conditions: names.
-        participants: codes.
-        right: a row a participant, a column a condition.
-        n: answers, likewise; 0 where there are none.
-
-    Raises:
-        InputError: shapes that do not fit.
-        RangeError: more right than there are.
-    """
+    """Correct answers `right` out of `n`, one row per participant and one column per condition."""
 
     conditions: tuple[str, ...]
     participants: tuple[str, ...]
@@ -79,15 +52,7 @@ class ConditionCounts:
 
 @dataclass(frozen=True, slots=True)
 class LogOddsDifference:
-    """A difference of two conditions' log odds, the second's less the first's.
-
-    Attributes:
-        first, second: names.
-        value: of the difference [logits].
-        low, high: 95 % interval.
-        p: two-sided, that it is 0.
-        holm_p: corrected for all pairs.
-    """
+    """Difference of two conditions' log odds, second minus first [logit], with its 95 % interval."""
 
     first: str
     second: str
@@ -100,16 +65,8 @@ class LogOddsDifference:
 
 @dataclass(frozen=True)
 class MixedLogistic:
-    """A logistic model with participants' intercepts, and one difference of conditions for all people.
-
-    Attributes:
-        conditions: names.
-        log_odds: of an average participant [logits].
-        covariance: of these.
-        intercept_sd: how far participants scatter [logits].
-        log_likelihood: greatest, the penalty taken off.
-        pairs: every two conditions.
-        converged: whether the search ended; if not, take nothing of this.
+    """Logistic model with a random intercept per participant and one effect for all; use
+    only if `converged`.
     """
 
     conditions: tuple[str, ...]
@@ -122,14 +79,7 @@ class MixedLogistic:
 
 
 def marginal_log_odds(counts: ConditionCounts) -> tuple[LogOddsDifference, ...]:
-    """Differences of conditions by a generalised estimating equation; those that can be told.
-
-    A condition of which all answers are right, or all wrong, has no finite log odds: pairs with it are left
-    out, and `sign_flip_p` is what remains.
-
-    Raises:
-        InputError: fewer than two participants.
-    """
+    """Estimate differences by a generalized estimating equation; omit conditions all correct or all wrong."""
     _several(counts)
     k, m = counts.right.sum(axis=0), counts.n.sum(axis=0)
     told = (k > 0) & (k < m)
@@ -144,11 +94,7 @@ def marginal_log_odds(counts: ConditionCounts) -> tuple[LogOddsDifference, ...]:
 
 
 def fit_mixed_logistic(counts: ConditionCounts) -> MixedLogistic:
-    """Conditions with a random intercept of each participant, by greatest penalised likelihood.
-
-    Raises:
-        InputError: fewer than two participants.
-    """
+    """Conditions with a random intercept of each participant, by greatest penalised likelihood."""
     _several(counts)
 
     def off(unknowns: ndarray) -> tuple[float, ndarray]:
@@ -173,22 +119,14 @@ def fit_mixed_logistic(counts: ConditionCounts) -> MixedLogistic:
 
 
 def mixed_log_likelihood(counts: ConditionCounts, log_odds: Float[ndarray, " c"], sd: float) -> float:
-    """Log likelihood of participants' counts, less the binomial coefficients.
-
-    Args:
-        counts: right answers.
-        log_odds: of each condition [logits].
-        sd: of participants' intercepts [logits].
+    """Return the log likelihood for `log_odds` and intercept SD `sd` [logit], without
+    binomial coefficients.
     """
     return _log_likelihood(counts, log_odds, sd)[0]
 
 
 def _log_likelihood(counts: ConditionCounts, log_odds: ndarray, sd: float) -> tuple[float, ndarray]:
-    """Log likelihood, and its slope over the log odds and the scatter.
-
-    Nodes lie about each participant's likeliest intercept, as far apart as his answers tell it: of many
-    answers they tell it far better than the scatter does, and nodes of the scatter's size would miss it.
-    """
+    """Log likelihood, and its slope over the log odds and the scatter."""
     nodes, weights = np.polynomial.hermite_e.hermegauss(NODES)
     middle, size = _likeliest_intercepts(counts, log_odds, sd)
     u = middle[:, None] + size[:, None] * nodes  # intercepts over their scatter, a row a participant
@@ -204,10 +142,8 @@ def _log_likelihood(counts: ConditionCounts, log_odds: ndarray, sd: float) -> tu
 
 
 def _likeliest_intercepts(counts: ConditionCounts, log_odds: ndarray, sd: float) -> tuple[ndarray, ndarray]:
-    """Each participant's likeliest intercept and its standard error, over their scatter, by Newton's steps.
-
-    A step moves no log odds by more than 1: the curvature then changes by at most a factor e, and the
-    steps, of a function that is concave, cannot run away.
+    """Mode and standard error of each participant's intercept, in units of the scatter, by bounded Newton
+    steps.
     """
     u = np.zeros(len(counts.n))
     for _ in range(MAX_STEPS):
@@ -224,14 +160,8 @@ def _likeliest_intercepts(counts: ConditionCounts, log_odds: ndarray, sd: float)
 
 
 def sign_flip_p(differences: Sequence[float] | ndarray, rng: np.random.Generator | None = None) -> float:
-    """Two-sided p of participants' differences having their signs by chance.
-
-    Args:
-        differences: one a participant.
-        rng: for more than sixteen participants, of whom signs are drawn; of seed 0 where there is none.
-
-    Raises:
-        InputError: none, or one that is not finite.
+    """Return the two-sided p of a sign-flip test; exact for up to sixteen participants, else sampled by
+    `rng`.
     """
     d = np.asarray(differences, np.float64)
     if not len(d) or not np.isfinite(d).all():
@@ -245,16 +175,11 @@ def sign_flip_p(differences: Sequence[float] | ndarray, rng: np.random.Generator
 
 @dataclass(frozen=True, slots=True)
 class ShareDifference:
-    """A difference of two conditions' shares of right answers, over participants who met both.
+    """Difference of two conditions' proportions correct, second minus first, within participants.
 
     Attributes:
-        first, second: names.
-        participants: number of those.
-        value: mean of their differences, the second's less the first's.
-        low, high: Student's 95 % interval over participants; None where all differ by the same.
-        p: by `sign_flip_p`.
-        holm_p: corrected for all pairs.
-        least_p: the smallest p that so many participants can give.
+        low, high: Student's 95 % interval; None if all differences are equal.
+        least_p: smallest p that this number of participants can give.
     """
 
     first: str
@@ -269,11 +194,7 @@ class ShareDifference:
 
 
 def share_differences(counts: ConditionCounts) -> tuple[ShareDifference, ...]:
-    """Differences of every two conditions, each participant against himself.
-
-    Raises:
-        InputError: fewer than two participants.
-    """
+    """Differences of every two conditions, each participant against himself."""
     _several(counts)
     found = []
     for i, j in combinations(range(len(counts.conditions)), 2):

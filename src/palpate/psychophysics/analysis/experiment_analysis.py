@@ -1,8 +1,7 @@
-"""The analysis of one experiment: accuracy, confusions, thresholds, and which conditions differ.
+"""Analysis of one experiment: accuracy, confusions, thresholds, and differences between conditions.
 
-A setting is a presentation and a condition, such as "direct K". Judgements are never pooled over settings.
-Where a number needs several participants and there is one, it is left out and said; so are answers that are
-missing, settings of which participants met different numbers, and functions that answers do not bound.
+A setting is a presentation and a condition; judgments are never pooled over settings. Estimates that need
+more participants are omitted and named in the caveats, as are missing answers and unbounded functions.
 """
 
 from __future__ import annotations
@@ -50,14 +49,11 @@ SIMULATED = "simulated participants or display: nothing here is a measurement"
 
 @dataclass(frozen=True, slots=True)
 class SettingAccuracy:
-    """Share of right answers in one setting; of rankings, of right places.
+    """Proportion of correct answers in one setting; of rankings, of correct positions.
 
     Attributes:
-        task, setting: which.
-        participants: number of them.
-        right, n: answers; of rankings places.
-        wald, wilson, clopper_pearson: 95 % intervals of answers taken as independent.
-        clusters: over participants; None for one.
+        wald, wilson, clopper_pearson: 95 % intervals, assuming independent answers.
+        clusters: 95 % interval over participants; None for one.
     """
 
     task: Task
@@ -81,13 +77,9 @@ class SettingRankings:
     """Rankings in one setting.
 
     Attributes:
-        setting: which.
-        confusion: their matrix.
-        perfect: number without a fault.
-        tau, rho: mean of Kendall's and of Spearman's over rankings.
-        told: rankings whose tau has an exact two-sided p below 0.05.
-        tau_interval: Student's 95 % of participants' means, cut at -1 and 1; None for one, or where all are
-            the same.
+        tau, rho: Kendall's and Spearman's coefficients, mean over rankings.
+        told: number of rankings whose tau has p < 0.05 (exact, two-sided).
+        tau_interval: Student's 95 % interval over participants, clipped to -1 to 1; None if undefined.
     """
 
     setting: str
@@ -101,20 +93,14 @@ class SettingRankings:
 
 @dataclass(frozen=True)
 class SettingThreshold:
-    """The psychometric function of pairs with one standard.
+    """Psychometric function of pairs with one standard.
 
     Attributes:
-        setting: which.
-        standard: name of the stimulus that is in every pair.
-        levels: of the comparisons [the stimuli's unit].
-        given, n: how often each was called softer than the standard, of how many.
-        fit: pooled over participants, over softness: level, its sign turned where softer is -1, or with
-            logarithmic levels its reciprocal.
-        counted: levels as the fit counts them.
-        pse: level that is as often called softer as harder, with its interval [the stimuli's unit].
-        own_pse: mean of participants' own with Student's 95 % interval; None where fewer than two have one.
-        own_bounded: number of participants whose own answers bound it, of whom the mean is.
-        participants: number of all; where `own_bounded` is less, the mean lies towards the levels' middle.
+        given, n: number of "softer than the standard" answers, and of all, at each level.
+        fit: pooled over participants, over `counted`: the level, sign-reversed if softer is -1 (logarithmic:
+            inverted).
+        pse: point of subjective equality with its interval [unit of the stimuli].
+        own_pse: mean over the `own_bounded` participants with a bounded one, with Student's 95 % interval.
     """
 
     setting: str
@@ -132,13 +118,8 @@ class SettingThreshold:
 
 @dataclass(frozen=True)
 class TaskComparison:
-    """Settings of one task compared.
-
-    Attributes:
-        task: which.
-        shares: participants against themselves.
-        marginal: log odds by an estimating equation.
-        mixed: by a random intercept, of pairs alone: places in one ranking are not independent.
+    """Comparison of the settings of one task; `mixed` for pairs only, since positions in a ranking are
+    dependent.
     """
 
     task: Task
@@ -149,16 +130,7 @@ class TaskComparison:
 
 @dataclass(frozen=True)
 class ExperimentAnalysis:
-    """All that is found of an experiment.
-
-    Attributes:
-        participants: their codes.
-        judgements: number of answers.
-        unanswered: a line for each row without one.
-        accuracies, rankings, thresholds, comparisons: by setting and task.
-        caveats: what a reader must know, a sentence each.
-        unit: of levels.
-    """
+    """Analysis of an experiment; `unanswered` and `caveats` are one sentence each."""
 
     participants: tuple[str, ...]
     judgements: int
@@ -188,21 +160,12 @@ def analyse_experiment(
     lapse: float | None = None,
     seed: int = 0,
 ) -> ExperimentAnalysis:
-    """Analyse an experiment's judgements.
+    """Analyze the judgments of an experiment.
 
     Args:
-        judgements: none twice.
-        stimuli: by name.
-        unanswered: a line for each row without an answer.
-        simulated: whether nobody answered, or nothing could be felt; it is then the first caveat.
-        shape: of psychometric functions.
-        logarithmic: count levels by their logarithm; Weibull's are in any case.
-        lapse: share of slips at both ends of psychometric functions; None to find it.
-        seed: of draws.
-
-    Raises:
-        RangeError: lapses of one half or more.
-        InputError: no judgements, or stimuli that are not in the table.
+        simulated: whether answers or stimuli are simulated; becomes the first caveat.
+        logarithmic: use the logarithm of levels; always true for Weibull.
+        lapse: lapse rate at both ends of psychometric functions; None to estimate it.
     """
     if not judgements:
         raise InputError(

@@ -1,17 +1,12 @@
-"""Proportions of right answers with intervals: as reports print them, exact, and over participants.
+"""Intervals of proportions: Wald, Wilson, Clopper-Pearson, Newcombe, and over participants.
 
-Wald's interval m ± z sqrt(m (1 - m) / N) is what many reports print (so in doi:10.1109/TOH.2010.2, eq. 7). It
-has no width at 0 of N and at N of N, where it says the most, and its ends may lie outside 0 to 1. Wilson's is
-the score test turned round; Clopper and Pearson's covers at least at its rate, whatever the proportion.
-
-All three take N answers as independent. Three answers of each of ten participants are not thirty: what
-differs between people is shared by a participant's answers, so N = 30 is pseudo-replication, and the
-interval is too short wherever people differ. `cluster_interval` is over participants instead.
+The first four assume independent answers; answers of one participant are not, so use `cluster_interval`.
+Wald's interval (doi:10.1109/TOH.2010.2, eq. 7) has no width at 0 of N and N of N.
 
 References: E. B. Wilson, JASA 22 (1927) 209, doi:10.1080/01621459.1927.10502953; C. J. Clopper,
 E. S. Pearson, Biometrika 26 (1934) 404, doi:10.1093/biomet/26.4.404; R. G. Newcombe, Statist. Med. 17 (1998)
-873, doi:10.1002/(SICI)1097-0258(19980430)17:8<873::AID-SIM779>3.0.CO;2-I (method 10); of the bootstrap of few
-units T. C. Hesterberg, Am. Stat. 69 (2015) 371, doi:10.1080/00031305.2015.1089789 (expanded percentiles).
+873, doi:10.1002/(SICI)1097-0258(19980430)17:8<873::AID-SIM779>3.0.CO;2-I (method 10); T. C. Hesterberg,
+Am. Stat. 69 (2015) 371, doi:10.1080/00031305.2015.1089789 (expanded percentiles).
 """
 
 from __future__ import annotations
@@ -33,16 +28,7 @@ Ends = tuple[float, float]
 
 
 def wald_half_width(mean: float, n: int, coverage: float = 0.95) -> float:
-    """Half of Wald's interval, z sqrt(m (1 - m) / N): what stands behind ± in eq. (7).
-
-    Args:
-        mean: share of right answers, 0 to 1; need not be a whole number over n.
-        n: answers.
-        coverage: that is claimed.
-
-    Raises:
-        RangeError: a share outside 0 to 1, or no answers.
-    """
+    """Return half of Wald's interval, z sqrt(m (1 - m) / N); `mean` need not be a multiple of 1 / n."""
     if not 0 <= mean <= 1 or n < 1:
         raise RangeError(f"a share of {mean:g} of {n} answers; 0 to 1 of one answer or more are allowed")
     return _z(coverage) * math.sqrt(mean * (1 - mean) / n)
@@ -62,13 +48,6 @@ def wald_interval(right: int, n: int, coverage: float = 0.95) -> Ends:
 def wilson_interval(right: int, n: int, coverage: float = 0.95) -> Ends:
     """Wilson's score interval.
 
-    Args:
-        right, n: right answers, of all.
-        coverage: that is claimed.
-
-    Raises:
-        RangeError: more right than there are, or none at all.
-
     Example:
         >>> [round(end, 4) for end in wilson_interval(30, 30)]
         [0.8865, 1.0]
@@ -80,15 +59,7 @@ def wilson_interval(right: int, n: int, coverage: float = 0.95) -> Ends:
 
 
 def clopper_pearson_interval(right: int, n: int, coverage: float = 0.95) -> Ends:
-    """Clopper and Pearson's exact interval: covers at its rate or more.
-
-    Args:
-        right, n: right answers, of all.
-        coverage: that is claimed.
-
-    Raises:
-        RangeError: more right than there are, or none at all.
-    """
+    """Clopper and Pearson's exact interval: covers at its rate or more."""
     _checked(right, n)
     tail = (1 - coverage) / 2
     low = 0.0 if right == 0 else float(stats.beta.ppf(tail, right, n - right + 1))
@@ -97,12 +68,7 @@ def clopper_pearson_interval(right: int, n: int, coverage: float = 0.95) -> Ends
 
 
 def newcombe_interval(first: tuple[int, int], second: tuple[int, int], coverage: float = 0.95) -> Ends:
-    """Interval of a difference of two independent proportions, the second's less the first's.
-
-    Args:
-        first, second: right answers and all, of each.
-        coverage: that is claimed.
-    """
+    """Return the interval of a difference of independent proportions (correct, total), second minus first."""
     (p, (p_low, p_high)), (q, (q_low, q_high)) = (
         (right / _checked(right, n), wilson_interval(right, n, coverage)) for right, n in (first, second)
     )
@@ -118,26 +84,11 @@ def cluster_interval(
     coverage: float = 0.95,
     draws: int = BOOTSTRAP_DRAWS,
 ) -> Ends:
-    """Interval of a proportion over participants.
+    """Return an interval of a proportion over participants, given `right` of `n` answers of each.
 
-    It reaches as far as any of three: whole participants drawn again, with the percentiles of Student's t of
-    so many; `beta_binomial_interval`, which knows that few participants seldom show a long tail, and speaks
-    where all answers are right; and Wilson's of all answers.
-
-    In 500 simulated studies each of ten participants, with shares of 0.5, 0.75, 0.85, 0.9 and 0.95, scatters
-    of 0, 0.5, 1, 1.5 and 2.5 logits, and 3, 12 and 40 answers, it held the share in 95.4 to 100 %, in the
-    mean in 98.6 %, where 95 are claimed. Drawing alone falls to 75 % (share 0.95, scatter 2.5, 40 answers,
-    300 studies): ten people seldom have the few of whom a long tail is made, and misses lie below its end.
-
-    Args:
-        right, n: right answers and all, of each participant; those without answers are left out.
-        rng: of the draws.
-        coverage: that is claimed.
-        draws: number of them.
-
-    Raises:
-        InputError: fewer than two participants with answers: their differences are then unknown.
-        RangeError: more right than there are.
+    It is the union of three: a bootstrap of participants with expanded percentiles, `beta_binomial_interval`,
+    and Wilson's interval of all answers. The bootstrap alone undercovers for few participants with a long
+    tail.
     """
     k, m = (np.asarray(each, np.float64) for each in (right, n))
     k, m = k[m > 0], m[m > 0]
@@ -158,14 +109,10 @@ def cluster_interval(
 def beta_binomial_interval(
     right: Float[ndarray, " s"], n: Float[ndarray, " s"], coverage: float = 0.95
 ) -> Ends:
-    """Posterior interval of the mean of participants' shares, which are drawn of a beta law.
+    """Return the posterior interval of the mean proportion in a beta-binomial model of participants.
 
-    The mean has Jeffreys' prior of a proportion, the correlation of one participant's answers an even one
-    from 0, all participants alike, to 1, each all right or all wrong.
-
-    Args:
-        right, n: right answers and all, of each participant.
-        coverage: of the interval, equal tails; it reaches 1 where all are right, and 0 where none are.
+    Priors: Jeffreys for the mean, uniform for the intraclass correlation. Equal tails; 0 or 1 if all answers
+    agree.
     """
     each, times = np.unique(np.column_stack([right, n]).astype(np.float64), axis=0, return_counts=True)
     k, m = each.T[:, :, None, None]

@@ -1,19 +1,9 @@
-"""Fits of psychometric functions: greatest likelihood, and the posterior with its intervals.
+"""Fits of psychometric functions: maximum likelihood, and a grid posterior with its intervals.
 
-`most_likely` is Fisher's scoring in a + b x, as of a generalised linear model. Data that a step could tell
-apart have no greatest likelihood at a finite slope, which is said.
-
-`fit_psychometric` integrates the likelihood over a grid with priors that are stated: the threshold even from
-one range of the levels below them to one above, the spread even in its logarithm from a twentieth of the
-least step to five ranges, a free lapse rate Beta(1, 30), of which 3 % is the mean. The values are posterior
-medians. Where the data do not bound a parameter the interval reaches the prior's end, and
-`PosteriorRange.bounded` says so: answers that are all right, all wrong or perfectly apart have wide
-intervals, not none. The grid is narrowed to where the likelihood is: with levels 1 to 5 and one at 100, a
-threshold of 3.1 and a spread of 0.8, intervals held both in 93 to 97 % of 400 studies of 40, 280 and 40,000
-answers a level. Of ten a level the spread's hold in 92 %, as the prior then reaches up to 500.
-
-The fit is judged by its deviance against that of data drawn from the fitted function and fitted again, as
-chi-square is no good law at 30 answers a level.
+Priors: threshold uniform from one range of the levels below them to one above; log spread uniform from a
+twentieth of the smallest step to five ranges; free lapse rate Beta(1, 30). Values are posterior medians.
+`PosteriorRange.bounded` is False where only the prior bounds a parameter. The deviance is judged against that
+of data simulated from the fitted function.
 
 Reference: H. H. Schütt, S. Harmeling, J. H. Macke, F. A. Wichmann, Vision Res. 122 (2016) 105,
 doi:10.1016/j.visres.2016.02.002; of the deviance Wichmann and Hill, doi:10.3758/BF03194544.
@@ -57,13 +47,7 @@ Levels = Float[ndarray, " levels"]
 
 @dataclass(frozen=True, slots=True)
 class PosteriorRange:
-    """A parameter's posterior.
-
-    Attributes:
-        value: its median.
-        low, high: ends of the interval.
-        bounded: whether the data, and not the prior alone, bound it below and above.
-    """
+    """Posterior median and interval; `bounded` (below, above) is False where only the prior bounds it."""
 
     value: float
     low: float
@@ -73,17 +57,13 @@ class PosteriorRange:
 
 @dataclass(frozen=True, slots=True)
 class PsychometricFit:
-    """A fitted psychometric function.
+    """Fitted psychometric function at the posterior medians.
 
     Attributes:
-        function: at the posterior medians.
-        threshold, spread: as `PsychometricFunction` has them.
-        lapse: None where it was given.
-        deviance: of the function of greatest likelihood that does not fall, its lapse rate as in `function`.
-        deviance_p: share of data drawn from it that fit as badly; small where the function is wrong.
-        answers: in all.
-        coverage: of the intervals.
-        notes: what a reader must know, in words by code.
+        lapse: None if given.
+        deviance: deviance of the non-decreasing maximum-likelihood function.
+        deviance_p: fraction of simulated data that fit as badly.
+        notes: warnings by code.
     """
 
     function: PsychometricFunction
@@ -117,19 +97,7 @@ def most_likely(
     lapse: float = 0.0,
     logarithmic: bool = False,
 ) -> LikelyLine:
-    """Predictor a + b x of greatest likelihood, x as `PsychometricFunction` counts levels.
-
-    Args:
-        levels: of the stimuli [any one unit].
-        given, n: how often the answer was given at each, of how many.
-        shape: of F(a + b x); a Weibull needs logarithmic levels.
-        guess, lapse: rates, given.
-        logarithmic: count levels by their logarithm.
-
-    Raises:
-        InputError: fewer than two levels with answers, or counts that do not fit.
-        RangeError: levels or rates out of range.
-    """
+    """Return the maximum-likelihood predictor a + b x, for `given` of `n` answers at each level."""
     x, k, m = _checked(levels, given, n, logarithmic=logarithmic)
     checked_rates(guess, lapse)
     a, b = _scored(x, k[None].astype(float), m, shape, guess, lapse)
@@ -155,23 +123,14 @@ def fit_psychometric(
     deviance_draws: int = DEVIANCE_DRAWS,
     rng: np.random.Generator | None = None,
 ) -> PsychometricFit:
-    """Posterior of a rising psychometric function.
+    """Estimate the posterior of a rising psychometric function.
 
     Args:
-        levels: of the stimuli [any one unit].
-        given, n: how often the answer was given at each, of how many.
-        shape: of the sigmoid.
-        guess: probability far below.
-        lapse: probability of a lapse, or None to find it.
-        guess_is_lapse: lapses are as frequent at both ends, as where either of two answers may be a slip.
-        logarithmic: count levels by their logarithm; Weibull's are in any case.
-        coverage: of the intervals, equal tails.
-        deviance_draws: data drawn to judge the deviance; 0 for no judgement (p is NaN).
-        rng: of those draws; of seed 0 where there is none.
-
-    Raises:
-        InputError: fewer than two levels with answers, or counts that do not fit.
-        RangeError: levels, rates or coverage out of range.
+        given, n: number of positive answers, and of all, at each level.
+        lapse: lapse rate; None to estimate it.
+        guess_is_lapse: whether the lapse rate applies to both ends.
+        logarithmic: use the logarithm of levels; always true for Weibull.
+        deviance_draws: simulated data sets that judge the deviance; 0 for none (p is NaN).
 
     Example:
         >>> found = fit_psychometric([1, 2, 3, 4, 5], [1, 6, 15, 26, 30], [30] * 5, deviance_draws=0)
@@ -332,12 +291,7 @@ def _judged(
 def _posterior(
     x: Levels, k: Counts, m: Counts, shape: SigmoidShape, guess: float, lapse: float | None, both: bool
 ) -> tuple[list[ndarray], ndarray]:
-    """Axes of threshold, log spread and lapse, and the posterior's mass at each node of their grid.
-
-    A posterior may lie between the nodes of a grid as wide as the priors: so nodes are added about the
-    greatest likelihood, and the box is narrowed again while it shrinks by more than its nodes tell.
-    The fine grid is stretched, since a sharp posterior of few answers has long tails.
-    """
+    """Axes of threshold, log spread and lapse, and the posterior's mass at each node of their grid."""
     size, step = float(np.ptp(x)), float(np.diff(np.unique(x)).min())
     box = [
         (x.min() - size, x.max() + size),
@@ -392,10 +346,7 @@ def _stretched(box: tuple[float, float], core: tuple[float, float], count: int) 
 def _likely_nodes(
     x: Levels, k: Counts, m: Counts, shape: SigmoidShape, guess: float, lapse: float | None, both: bool
 ) -> list[ndarray]:
-    """Thresholds, log spreads and lapses about those of greatest likelihood, by their standard errors.
-
-    None where no rising function is likeliest: the posterior is then as wide as the priors.
-    """
+    """Thresholds, log spreads and lapses about those of greatest likelihood, by their standard errors."""
 
     def line(rate: float) -> tuple[float, float, float, ndarray]:
         below = rate if both else guess

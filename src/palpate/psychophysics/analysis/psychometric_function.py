@@ -1,11 +1,10 @@
-"""Psychometric functions: how often an answer is given over the level of a stimulus.
+"""Psychometric functions: the probability of an answer over the level of a stimulus.
 
     P(level) = guess + (1 - guess - lapse) F(F⁻¹(1/2) + (F⁻¹(3/4) - F⁻¹(1/2)) (x - threshold) / spread)
 
-with x the level or its natural logarithm. F is a cumulative Gaussian, a logistic, or 1 - exp(-exp(z)), which
-over logarithmic levels is Weibull's. So in all of them `threshold` is where F is 1/2 (of the two answers to a
-pair the point of subjective equality) and `spread` is how much further it is 3/4: the just noticeable
-difference; over logarithmic levels a Weber fraction is exp(spread) - 1.
+x is the level or its natural logarithm; F is a cumulative Gaussian, a logistic, or 1 - exp(-exp(z)) (Weibull
+over logarithmic levels). `spread` is the just noticeable difference; over logarithmic levels exp(spread) - 1
+is a Weber fraction.
 
 Reference: F. A. Wichmann, N. J. Hill, Percept. Psychophys. 63 (2001) 1293, doi:10.3758/BF03194544.
 """
@@ -73,20 +72,12 @@ class SigmoidShape(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class PsychometricFunction:
-    """One psychometric function; calling it gives the probability at levels.
+    """Psychometric function; call it for the probability at levels.
 
     Attributes:
-        shape: of F.
-        threshold: level at which F is 1/2 [the level's unit].
-        spread: from there to where F is 3/4 [the level's unit; of logarithmic levels a difference of
-            natural logarithms].
-        guess: probability far below, 0 to below 1.
-        lapse: 1 less the probability far above.
-        logarithmic: whether levels count by their logarithm; Weibull's do always.
-
-    Raises:
-        RangeError: a spread that is not above 0, or rates that leave no rise.
-        InputError: Weibull's over linear levels.
+        threshold: level at which F is 1/2.
+        spread: distance from there to F = 3/4 [unit of the level, or its natural logarithm].
+        guess, lapse: probability far below, and 1 minus that far above.
     """
 
     shape: SigmoidShape
@@ -115,11 +106,7 @@ class PsychometricFunction:
 
 
 def checked_rates(guess: float, lapse: float) -> None:
-    """Refuse rates of guesses and lapses that leave no rise.
-
-    Raises:
-        RangeError: one below 0, or both together 1 or more.
-    """
+    """Refuse rates of guesses and lapses that leave no rise."""
     if guess < 0 or lapse < 0 or guess + lapse >= 1:
         raise RangeError(
             f"guesses of {guess:g} and lapses of {lapse:g}; each is 0 or more, and together they are below 1",
@@ -128,11 +115,7 @@ def checked_rates(guess: float, lapse: float) -> None:
 
 
 def as_counted(levels: ndarray, *, logarithmic: bool) -> ndarray:
-    """Levels as they count: themselves, or their natural logarithm.
-
-    Raises:
-        RangeError: a level that is not finite, or not above 0 where its logarithm is needed.
-    """
+    """Levels as they count: themselves, or their natural logarithm."""
     if not np.isfinite(levels).all() or (logarithmic and (levels <= 0).any()):
         what = "above 0 and finite" if logarithmic else "finite"
         raise RangeError(

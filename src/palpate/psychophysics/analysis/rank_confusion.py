@@ -1,12 +1,7 @@
-"""Rankings: which place each stimulus was given, and how near each ranking is to the true order.
+"""Confusion matrix of rankings, and rank correlation of each ranking with the true order.
 
-A confusion matrix of rankings counts in row i, column j how often the stimulus of true place i was given
-place j. Every ranking puts one stimulus in each place, so all rows and columns sum to the number of rankings:
-a matrix that does not was not made of rankings, or was printed wrong.
-
-Its cells are not independent: one ranking fills one cell in each row, and two wrong places are the least that
-a wrong ranking can have. So a matrix's total accuracy has fewer degrees of freedom than its N answers; what
-each ranking says by itself is Kendall's tau and Spearman's rho.
+Rows and columns all sum to the number of rankings. Cells are not independent: a wrong ranking has at least
+two wrong positions.
 
 References: M. G. Kendall, Biometrika 30 (1938) 81, doi:10.1093/biomet/30.1-2.81; C. Spearman, Am. J. Psychol.
 15 (1904) 72, doi:10.2307/1412159.
@@ -30,15 +25,7 @@ MAX_COUNTED_ORDERS = 8  # stimuli of which all orders are counted
 
 @dataclass(frozen=True)
 class RankConfusion:
-    """Places given to stimuli, counted.
-
-    Attributes:
-        names: of the stimuli, in the true order.
-        counts: row of true place, column of the place given.
-
-    Raises:
-        InputError: not square, a count that is negative, or rows and columns that do not all sum to the same.
-    """
+    """Confusion counts of rankings: row of the true position, column of the position given."""
 
     names: tuple[str, ...]
     counts: Int[ndarray, "rows columns"]
@@ -80,15 +67,7 @@ class RankConfusion:
 
 
 def confusion_of_places(names: Sequence[str], places: Int[ndarray, "n m"]) -> RankConfusion:
-    """Confusion of rankings that are given as places.
-
-    Args:
-        names: of the stimuli in the true order.
-        places: of each ranking the place given to each stimulus, from 0.
-
-    Raises:
-        InputError: no rankings, or a row that is no order.
-    """
+    """Count the positions (from 0) that each ranking gives to the stimuli in their true order."""
     m = len(names)
     if not len(places) or not (np.sort(places, axis=1) == np.arange(m)).all():
         raise InputError(
@@ -103,11 +82,7 @@ def confusion_of_places(names: Sequence[str], places: Int[ndarray, "n m"]) -> Ra
 def places_given(
     judgements: Iterable[Judgement], stimuli: Mapping[str, Stimulus]
 ) -> tuple[tuple[str, ...], Int[ndarray, "n m"]]:
-    """Names in the true order, from the least soft, and the place that each ranking gave them.
-
-    Raises:
-        InputError: no rankings, or rankings of different sets of stimuli.
-    """
+    """Names in the true order, from the least soft, and the place that each ranking gave them."""
     ranked = [one for one in judgements if one.task is Task.RANK]
     sets = {frozenset(one.presented) for one in ranked}
     if len(sets) != 1:
@@ -128,13 +103,11 @@ def rank_confusion(judgements: Iterable[Judgement], stimuli: Mapping[str, Stimul
 
 @dataclass(frozen=True, slots=True)
 class RankCorrelation:
-    """How far a ranking follows the true order.
+    """Correlation of a ranking with the true order.
 
     Attributes:
-        tau: Kendall's, -1 for the order turned round to 1.
-        tau_p: two-sided, exact: the share of all orders whose tau is as far from 0.
-        rho: Spearman's.
-        rho_p: likewise; of more than eight stimuli by Student's t.
+        tau_p: exact two-sided p.
+        rho_p: exact two-sided p up to eight stimuli, else by Student's t.
     """
 
     tau: float
@@ -144,13 +117,7 @@ class RankCorrelation:
 
 
 def rank_correlation(places: Sequence[int] | ndarray) -> RankCorrelation:
-    """Correlation of the places given to stimuli with their true order.
-
-    Args:
-        places: given to the stimuli in their true order, each once.
-
-    Raises:
-        InputError: no order, or of fewer than two.
+    """Correlate the positions given to stimuli, from 0, with their true order.
 
     Example:
         >>> found = rank_correlation([1, 0, 2, 3, 4])

@@ -1,9 +1,4 @@
-"""Numbers of participants, planned by simulating the study that is to be made.
-
-Participants differ by an intercept, and in how much the conditions differ for them, both in logits; each
-answers so often in two conditions, and the study's own test, `sign_flip_p` of their differences, is applied.
-The power found has the interval of its simulations.
-"""
+"""Power and sample size by simulation of the planned study, tested by `sign_flip_p`."""
 
 from __future__ import annotations
 
@@ -25,18 +20,12 @@ NODES_OF_MEAN = 41
 
 @dataclass(frozen=True, slots=True)
 class PlannedStudy:
-    """A study of two conditions that has not been made.
+    """Planned study of two conditions.
 
     Attributes:
-        first, second: shares of right answers in the population, above 0 and below 1.
-        answers: of each participant in each condition.
-        intercept_sd: how far participants scatter [logits].
-        effect_sd: how far participants' own differences between the conditions scatter [logits]; 0 is that
-            all differ by the same, which is seldom so and asks for too few.
-        significance: below which p counts.
-
-    Raises:
-        RangeError: a number out of its range.
+        first, second: population proportions correct, 0 to 1 exclusive.
+        answers: answers of each participant in each condition.
+        effect_sd: standard deviation of participants' effects [logit]; 0 underestimates the sample size.
     """
 
     first: float
@@ -59,13 +48,7 @@ class PlannedStudy:
 
 @dataclass(frozen=True, slots=True)
 class StudyPower:
-    """How often a planned study finds its difference.
-
-    Attributes:
-        participants: number of them.
-        power: share of simulated studies with a p below the significance.
-        low, high: 95 % interval of that share.
-    """
+    """Power of a planned study, with the 95 % interval of the simulation."""
 
     participants: int
     power: float
@@ -76,11 +59,7 @@ class StudyPower:
 def simulated_power(
     study: PlannedStudy, participants: int, rng: np.random.Generator, studies: int = STUDIES
 ) -> StudyPower:
-    """Power with so many participants.
-
-    Raises:
-        RangeError: fewer than two participants, or more than `MAX_PARTICIPANTS`.
-    """
+    """Power with so many participants."""
     if not 2 <= participants <= MAX_PARTICIPANTS:
         raise RangeError(f"{participants} participants; 2 to {MAX_PARTICIPANTS} are allowed")
     sd = math.hypot(study.intercept_sd, study.effect_sd / 2)  # of one condition's log odds over participants
@@ -99,11 +78,7 @@ def simulated_power(
 def participants_needed(
     study: PlannedStudy, rng: np.random.Generator, power: float = 0.8, studies: int = STUDIES
 ) -> StudyPower:
-    """Fewest participants that reach a power, as far as so many simulated studies tell.
-
-    Raises:
-        RangeError: `MAX_PARTICIPANTS` do not reach it.
-    """
+    """Fewest participants that reach a power, as far as so many simulated studies tell."""
     low, high = 2, 4
     while simulated_power(study, high, rng, studies).power < power:
         low, high = high, 2 * high

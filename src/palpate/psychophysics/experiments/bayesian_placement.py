@@ -1,12 +1,8 @@
-"""Comparisons placed where the next answer is expected to tell most of a participant's psychometric function.
-
-The chance that the comparison is called softer than the standard is taken to be
+"""Comparisons placed for the greatest expected information on a psychometric function.
 
     P(x) = l/2 + (1 - l) Φ((x - m) / s)
 
-of the difference x of softness, with point of subjective equality m, spread s and lapse rate l. Over a grid
-of (m, s, l), even at first, an answer multiplies each grid point by its chance; the next comparison is the
-one of least expected entropy of what then stands there.
+over a grid of (m, s, l), uniform at first; the next comparison minimizes the expected entropy.
 
 References: Kontsevich and Tyler, Vision Res. 39 (1999) 2729, doi:10.1016/S0042-6989(98)00285-5; Watson, J.
 Vision 17(3):10 (2017), doi:10.1167/17.3.10.
@@ -29,12 +25,8 @@ DIGITS = 9  # entropies are compared to so many [nat], so that rounding decides 
 
 @dataclass(frozen=True, slots=True)
 class Placement:
-    """What is known of a participant, and where to ask next.
-
-    Attributes:
-        x: differences of softness that can be presented, comparison minus standard [unit of the level].
-        equality, spread, lapse: grid of m, s and l, flat.
-        weight: of each grid point; they sum to 1.
+    """Posterior of a participant over a flat grid of m, s, and l, for presentable softness
+    differences `x`.
     """
 
     x: Float[ndarray, " k"]
@@ -45,12 +37,8 @@ class Placement:
 
     @classmethod
     def of_differences(cls, x: Sequence[float]) -> Placement:
-        """The beginning, of a grid that the differences span.
-
-        m goes over half of their range, s from a quarter of the least difference to twice the range.
-
-        Raises:
-            InputError: no two differences, or one of 0.
+        """Return the uniform start: m spans half the range of `x`; s a quarter of the least to twice the
+        range.
         """
         differences = np.asarray(x, float)
         if len(differences) < 2 or not np.all(differences):

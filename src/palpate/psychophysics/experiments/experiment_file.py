@@ -59,13 +59,7 @@ Name = Annotated[str, Field(min_length=1, max_length=80)]
 
 
 class GroupPart(Part):
-    """Participants who meet the same presentations.
-
-    Attributes:
-        name: of the group.
-        participants: how many there shall be; whoever comes beyond all groups' sum begins the round again.
-        presentations: that they meet; of two, every other participant begins with the second.
-    """
+    """Participants who meet the same presentations; of two, every other one begins with the second."""
 
     name: Name
     participants: Count
@@ -73,14 +67,11 @@ class GroupPart(Part):
 
 
 class StimuliPart(Part):
-    """The stimuli of one presentation in one condition.
+    """Stimuli of one presentation in one condition.
 
     Attributes:
-        presentation, condition: where they are met.
-        names: as in ``stimuli.csv``.
-        standard: that pairs are compared with.
-        objects: of rendered ones a file for each name, in the experiment's folder.
-        layout: what the experimenter is told when the condition begins, such as which plate to put under.
+        objects: object file of each rendered stimulus, in the folder of the experiment.
+        layout: instruction to the experimenter when the condition begins.
     """
 
     presentation: Presentation
@@ -123,17 +114,7 @@ class ConstantPart(Part):
 
 
 class StaircasePart(Part):
-    """Pairs by interleaved transformed up-down staircases; see `staircases.StaircaseRule`.
-
-    Attributes:
-        sides: of the standard that have a track of their own.
-        right: answers in a row that bring the comparison nearer to the standard.
-        wrong: answers in a row that take it away.
-        steps: places in the order of stimuli; the next one after each reversal, and the last from then on.
-        up_ratio: how many times as far a step away is as one nearer (Kaernbach's weighted staircase).
-        reversals: that end a track.
-        max_trials: that end it too.
-    """
+    """Pairs by interleaved transformed up-down staircases on each side; see `staircases.StaircaseRule`."""
 
     method: Literal["staircase"]
     sides: Annotated[tuple[Literal["softer", "harder"], ...], Field(min_length=1)] = ("softer", "harder")
@@ -153,11 +134,7 @@ class StaircasePart(Part):
 
 
 class BayesianPart(Part):
-    """Pairs placed where the answer is expected to tell most; see `bayesian_placement.Placement`.
-
-    Attributes:
-        trials: of the block.
-    """
+    """Pairs placed where the answer is expected to tell most; see `bayesian_placement.Placement`."""
 
     method: Literal["bayesian"]
     trials: Annotated[int, Field(ge=1, le=400)]
@@ -174,19 +151,8 @@ TaskPart = Annotated[ConstantPart | StaircasePart | BayesianPart | RankPart, Fie
 
 
 class ExperimentFile(Part):
-    """The whole file.
-
-    Attributes:
-        name: of the experiment.
-        seed: of everything that is drawn.
-        conditions: that every participant meets.
-        group: groups of participants.
-        stimuli: a set for each presentation and condition.
-        task: what is asked, in this order.
-        handedness: whether ten activities are asked for, for a laterality quotient.
-        age: whether an age is asked for, as a number or as a band; an answer is never needed.
-        question: that the experimenter asks of a pair.
-        request: that the experimenter makes of a ranking.
+    """Contents of ``experiment.toml``; `question` and `request` are the experimenter's words for pairs and
+    rankings.
     """
 
     name: Name
@@ -243,15 +209,7 @@ def task_of(part: ConstantPart | StaircasePart | BayesianPart | RankPart) -> Tas
 
 @dataclass(frozen=True, slots=True)
 class ExperimentDesign:
-    """An experiment's folder, read and checked.
-
-    Attributes:
-        folder: where it lies.
-        file: what ``experiment.toml`` says.
-        stimuli: of ``stimuli.csv``, by name.
-        digests: SHA-256 of each part of the design, by file; of the two tables what they say, so that a
-            comment may change.
-    """
+    """A validated experiment folder; `digests` are SHA-256 of the content of each file."""
 
     folder: Path
     file: ExperimentFile
@@ -265,13 +223,7 @@ class ExperimentDesign:
 
 @parser("experiment", InputError)
 def read_design(folder: Path) -> ExperimentDesign:
-    """Read an experiment's folder, and check all of it.
-
-    Raises:
-        InputError: there is none, or a field that is not one, or parts that do not fit each other.
-        LabelError: the table of stimuli is damaged.
-        StorageError: it cannot be read.
-    """
+    """Read an experiment's folder, and check all of it."""
     path = folder / EXPERIMENT
     if not path.is_file():
         raise InputError(f"{folder} has no {EXPERIMENT}; `palpate experiment new` makes a folder with one")

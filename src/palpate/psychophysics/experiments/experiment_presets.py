@@ -43,21 +43,7 @@ age = "{age}"                # or "years", or "band"; nobody has to answer
 def make_experiment(
     folder: Path, preset: str, seed: int, moduli_kpa: Sequence[float] | None = None
 ) -> ExperimentDesign:
-    """Write a preset's folder.
-
-    Args:
-        folder: to make; must not exist.
-        preset: one of `PRESETS`.
-        seed: of everything that is drawn, 0 or more.
-        moduli_kpa: of the five silicones of ``bianchi-2010``, from 0 to 45 % of softener [kPa]; those of no
-            silicone in particular if left out, which the objects' files then say.
-
-    Raises:
-        InputError: there is no such preset; or moduli for another one, or not five above 0 that fall.
-        RangeError: a seed below 0, or of more than 63 bits.
-        ExistsError: the folder exists.
-        StorageError: it cannot be written.
-    """
+    """Write the folder of a preset; `moduli_kpa` of ``bianchi-2010`` are for 0 to 45 % softener."""
     if preset not in PRESETS:
         raise InputError(f"preset {preset!r}; there are {', '.join(PRESETS)}", code="preset-unknown")
     if not 0 <= seed < 1 << 63:

@@ -1,8 +1,6 @@
-"""All that a folder keeps of an experiment's answers, read for analysis; what does not belong is refused.
+"""Recorded answers of an experiment, read for analysis.
 
-A folder may be an experiment's, its rehearsal's, a participant's, an export's, or one of two tables that were
-written elsewhere. Where participants have records, their answers are counted only by the design that they
-began with, and only as long as their consent stands.
+Answers of participants with records count only under the design that they began with and with valid consent.
 """
 
 from __future__ import annotations
@@ -31,14 +29,12 @@ SOURCE = "sourcedata"
 
 @dataclass(frozen=True, slots=True)
 class KeptAnswers:
-    """What a folder keeps.
+    """Answers in a folder.
 
     Attributes:
-        judgements: of all whose consent stands.
-        stimuli: by name.
-        unanswered: a line for each row without an answer.
-        withdrawn: codes of participants with answers whose consent does not stand; these are left out.
-        simulated: whether nobody answered, or nothing could be felt, in any of it.
+        unanswered: one line per row without an answer.
+        withdrawn: codes of participants without valid consent, who are left out.
+        simulated: whether any answer or display was simulated.
     """
 
     judgements: tuple[Judgement, ...]
@@ -49,16 +45,8 @@ class KeptAnswers:
 
 
 def read_kept_answers(folder: Path) -> KeptAnswers:
-    """Read the answers in a folder, with the stimuli that they are about.
-
-    Args:
-        folder: of an experiment, its rehearsal, a participant or an export; or with ``stimuli.csv`` and
-            ``responses.csv``, there or in a folder of each participant.
-
-    Raises:
-        InputError: the design was changed since a participant began; which file it is.
-        LabelError: there is no such table, or one that is damaged, or in a folder where it does not belong.
-        StorageError: it cannot be read.
+    """Read answers and stimuli from the folder of an experiment, rehearsal, participant, export, or two
+    tables.
     """
     if not folder.is_dir():
         raise LabelError(f"{folder} is no folder; give the one of {STIMULI} and the participants' answers")

@@ -36,16 +36,8 @@ LETTERS = "ABCDEFGHJKLMNPRTUVWXYZ"  # no I and O, which look like digits; no Q a
 
 
 def laterality_quotient(marks: Sequence[str]) -> float:
-    """Laterality quotient of ten activities, -100 left to 100 right.
-
-    Args:
-        marks: of each of `ACTIVITIES`: LL, L, B, R, RR, or nothing; see `MARKS`.
-
-    Returns:
-        It; NaN where no hand has a mark.
-
-    Raises:
-        InputError: another mark, or not ten.
+    """Return the laterality quotient, -100 left to 100 right, of the `MARKS` of ten `ACTIVITIES`; NaN without
+    any.
     """
     if len(marks) != len(ACTIVITIES) or not set(marks) <= set(MARKS):
         allowed = ", ".join(one for one in MARKS if one)
@@ -55,12 +47,7 @@ def laterality_quotient(marks: Sequence[str]) -> float:
 
 
 def checked_age(text: str, asked: str) -> str:
-    """An age as it may be kept: nothing, a number of years, or a band such as 20-29 or 60+.
-
-    Raises:
-        InputError: the other of the two, or neither.
-        RangeError: no age of a person.
-    """
+    """An age as it may be kept: nothing, a number of years, or a band such as 20-29 or 60+."""
     if not text:
         return ""
     if asked == "years" and text.isascii() and text.isdigit():
@@ -77,11 +64,7 @@ def checked_age(text: str, asked: str) -> str:
 
 
 def checked_participant(code: str) -> str:
-    """A code that a new participant may have: one of `checked_code` with a digit, so that it is no name.
-
-    Raises:
-        InputError: it is none.
-    """
+    """A code that a new participant may have: one of `checked_code` with a digit, so that it is no name."""
     checked_code(code, "participant")
     if code.lower().startswith("sub-"):
         raise InputError(
@@ -103,20 +86,13 @@ def label_of(participant: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class ParticipantRecord:
-    """What is kept of a participant.
+    """Record of a participant.
 
     Attributes:
-        participant: code.
-        consent: "yes" or "no"; "simulated" where there is no person.
-        number: in the order in which they came, from 1; 0 without consent.
-        group: that they are in.
+        consent: "yes", "no", or "simulated".
+        number: order of enrollment, from 1; 0 without consent.
         laterality_quotient: -100 left to 100 right, or None.
-        age: whole years or a band, or "".
-        simulated: whether answers or display are not real.
-        seed: of the design.
-        design: digest of each of its files.
-        schedule: digest of the schedule.
-        version: of palpate.
+        design: digest of each file of the design.
     """
 
     participant: str
@@ -139,12 +115,7 @@ class ParticipantRecord:
     @classmethod
     @parser("participant record", InputError)
     def read(cls, folder: Path) -> ParticipantRecord:
-        """Read it from a participant's folder.
-
-        Raises:
-            LabelError: it is damaged or missing.
-            StorageError: it cannot be read.
-        """
+        """Read it from a participant's folder."""
         path = folder / PARTICIPANT
         with storage_errors(path):
             if folder.is_dir() and not path.exists():
@@ -187,11 +158,7 @@ Place = tuple[Presentation, Condition, str]
 
 
 def letter_codes(design: ExperimentDesign, number: int, simulated: bool = False) -> dict[Place, str]:
-    """A letter for each stimulus of each condition, drawn anew for each participant.
-
-    No letter is met twice by a participant, and none is the name of a stimulus. A rehearsal's are others than
-    those of the participant of its number, so that its key gives nothing away.
-    """
+    """Draw a letter for each stimulus and condition, unique for a participant and different in rehearsals."""
     names = {name.upper() for name in design.stimuli}
     sets: list[StimuliPart] = [design.file.set_of(*place) for place in design.file.places()]
     places = [(one.presentation, one.condition, name) for one in sets for name in one.names]

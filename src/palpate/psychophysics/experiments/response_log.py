@@ -37,22 +37,7 @@ def response_lines(judgements: Iterable[Judgement], simulated: bool) -> str:
 
 
 class ResponseLog(Closing):
-    """A participant's table, open for one writer.
-
-    Args:
-        folder: of the participant, with a table that has its header.
-        simulated: whether the rows are marked so.
-        fsync: that puts a file on disk; another one in tests.
-
-    Attributes:
-        judgements: in the table so far.
-        torn: bytes that an interrupted row had left, and that were taken off.
-
-    Raises:
-        RecordingError: another holds it.
-        LabelError: it is damaged.
-        StorageError: it cannot be opened.
-    """
+    """A participant's response table, open for one writer; `torn` bytes of an incomplete row were removed."""
 
     def __init__(self, folder: Path, simulated: bool, fsync: Callable[[int], None] = os.fsync) -> None:
         self._path, self._simulated, self._fsync = folder / RESPONSES, simulated, fsync
@@ -72,13 +57,7 @@ class ResponseLog(Closing):
             raise
 
     def append(self, judgement: Judgement) -> None:
-        """Put a judgement on disk; when this returns no kill can take it away.
-
-        Raises:
-            StorageError: the disk is full or refuses. The table is then as it was before, and the same
-                judgement can be appended again.
-            LabelError: somebody else has changed the table meanwhile.
-        """
+        """Put a judgement on disk; when this returns no kill can take it away."""
         line, handle = response_lines([judgement], self._simulated).encode(), self._file.fileno()
         with storage_errors(self._path):
             if os.fstat(handle).st_size != self._size:

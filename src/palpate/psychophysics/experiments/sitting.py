@@ -59,13 +59,8 @@ Now = Callable[[], str]
 
 @dataclass(frozen=True, slots=True)
 class Enrolment:
-    """What a participant has told before the first trial.
-
-    Attributes:
-        consent: whether they agreed.
-        laterality_quotient: -100 left to 100 right, NaN where it was not asked or nothing was told.
-        age: whole years or a band, or "".
-        simulated: that there is no participant, or no display that could be felt.
+    """Information of a participant before the first trial; `laterality_quotient` is -100 left to 100 right or
+    NaN.
     """
 
     consent: bool
@@ -80,12 +75,7 @@ def home_of(design: ExperimentDesign, simulated: bool) -> Path:
 
 
 def participant_folder(design: ExperimentDesign, participant: str, simulated: bool = False) -> Path:
-    """The folder of a participant, whether there is one yet or not.
-
-    Raises:
-        InputError: it is no code; or no new one, since it has no digit, or differs from another's by
-            capitals, - and _ alone, which no export tells apart.
-    """
+    """The folder of a participant, whether there is one yet or not."""
     checked_code(participant, "participant")
     folder = home_of(design, simulated) / f"{PREFIX}{participant}"
     with storage_errors(folder.parent):
@@ -104,13 +94,7 @@ def participant_folder(design: ExperimentDesign, participant: str, simulated: bo
 
 
 def enrol(design: ExperimentDesign, participant: str, told: Enrolment) -> ParticipantRecord:
-    """Give a participant a number, and make their folder; without consent there is neither number nor trial.
-
-    Raises:
-        InputError: the code is none.
-        ExistsError: the participant was enrolled before.
-        StorageError: the disk refused; nothing was made then.
-    """
+    """Enroll a participant: number and folder; without consent, a record alone."""
     folder = participant_folder(design, participant, told.simulated)
     quotient = None if math.isnan(told.laterality_quotient) else told.laterality_quotient
     with _enrolling(design):
@@ -138,16 +122,7 @@ def enrol(design: ExperimentDesign, participant: str, told: Enrolment) -> Partic
 
 
 def records(design: ExperimentDesign, simulated: bool = False) -> list[ParticipantRecord]:
-    """Records of all participants, those without consent among them, in the order of their codes.
-
-    Args:
-        design: of the experiment.
-        simulated: those who are, in place of those who are not.
-
-    Raises:
-        LabelError: one that is damaged, or in a folder where it does not belong.
-        StorageError: one that cannot be read.
-    """
+    """Return the records of all measured (or all simulated) participants, sorted by code."""
     home = home_of(design, simulated)
     with storage_errors(home):
         kept = [path for name in (PARTICIPANT, RESPONSES) for path in home.glob(f"{PREFIX}*/{name}")]
@@ -175,28 +150,7 @@ def _enrolling(design: ExperimentDesign) -> BinaryIO:
 
 
 class Sitting(Closing):
-    """A participant before the next trial.
-
-    Args:
-        design: of the experiment.
-        participant: code; enrolled.
-        now: time of day in ISO 8601.
-        simulated: whether it is a rehearsal.
-
-    Attributes:
-        design: of the experiment.
-        record: of the participant.
-        schedule: of the participant.
-        codes: a letter for each presentation, condition and stimulus.
-        next: the trial that comes; None when all is done.
-        torn: bytes of an answer that was not kept whole, and so is asked again.
-
-    Raises:
-        InputError: no consent; or design, schedule or key are not those that the participant began with.
-        LabelError: the judgements are not those that the schedule asks for, or another's.
-        RecordingError: another sitting of the participant goes on.
-        StorageError: the folder cannot be read or written.
-    """
+    """Session state of a participant; `next` is None when all is answered, `now` gives ISO 8601 times."""
 
     def __init__(self, design: ExperimentDesign, participant: str, now: Now, simulated: bool = False) -> None:
         folder = participant_folder(design, participant, simulated)
@@ -234,16 +188,7 @@ class Sitting(Closing):
         return tuple(self._log.judgements)
 
     def take(self, answer: tuple[str, ...], seconds: float) -> Judgement:
-        """Keep the answer to the next trial, on disk, and go on to the one after it.
-
-        Args:
-            answer: names of stimuli, as of a judgement.
-            seconds: since it was presented [s].
-
-        Raises:
-            InputError: all was done, or the answer is none; nothing was kept.
-            StorageError: the disk refused; nothing was kept, and it can be given again.
-        """
+        """Store the answer (names of stimuli) to the next trial on disk, and advance."""
         if self.next is None:
             raise InputError(
                 f"participant {self.record.participant} has answered all; there is no next trial"
@@ -280,16 +225,7 @@ class Sitting(Closing):
 
 
 def check_begun_by(record: ParticipantRecord, digests: Mapping[str, str], where: Path) -> None:
-    """Refuse a design that is not the one that a participant began with.
-
-    Args:
-        record: of the participant.
-        digests: of each of the design's files, as it is now.
-        where: they lie.
-
-    Raises:
-        InputError: which file it is, and what to do.
-    """
+    """Reject a design whose file digests differ from those with which the participant began."""
     begun = record.design or {}
     changed = [one for one in sorted({*begun, *digests}) if begun.get(one) != digests.get(one)]
     if changed:
@@ -304,11 +240,7 @@ def check_begun_by(record: ParticipantRecord, digests: Mapping[str, str], where:
 
 
 def check_owner(folder: Path, record: ParticipantRecord, judgements: Sequence[Judgement]) -> None:
-    """Refuse a folder in which another participant's record or answers lie.
-
-    Raises:
-        LabelError: whose they are, and what to do.
-    """
+    """Refuse a folder in which another participant's record or answers lie."""
     named = folder.resolve().name
     if named.startswith(PREFIX) and named != f"{PREFIX}{record.participant}":
         raise LabelError(
@@ -326,11 +258,7 @@ def check_owner(folder: Path, record: ParticipantRecord, judgements: Sequence[Ju
 
 
 def schedule_of(design: ExperimentDesign, record: ParticipantRecord) -> Schedule:
-    """The schedule that a participant began with.
-
-    Raises:
-        InputError: the design has changed since, or another schedule comes of it; which file it is.
-    """
+    """The schedule that a participant began with."""
     check_begun_by(record, design.digests, design.folder)
     schedule = make_schedule(design, record.number, record.simulated)
     if schedule.digest != record.schedule:

@@ -42,11 +42,7 @@ class SittingDesk(Protocol):
         """Show a line."""
 
     def ask(self, prompt: str) -> str:
-        """Read a line that is typed.
-
-        Raises:
-            EOFError: nothing will be typed any more.
-        """
+        """Read a line that is typed."""
 
     def wait(self, prompt: str) -> str:
         """Wait until something was done by hand; read what is typed, mostly nothing. Errors as of `ask`."""
@@ -67,18 +63,10 @@ class StimulusPresenter(Protocol):
         """What the experimenter has to do before a condition; "" for nothing."""
 
     def show(self, condition: Condition, name: str, code: str) -> None:
-        """Show a stimulus, under a code in place of its name.
-
-        Raises:
-            PalpateError: a device refuses or is gone.
-        """
+        """Show a stimulus, under a code in place of its name."""
 
     def check(self) -> None:
-        """Tell that what was shown is still shown.
-
-        Raises:
-            PalpateError: it has ended by itself.
-        """
+        """Tell that what was shown is still shown."""
 
 
 class UnrenderedStimuli:
@@ -99,14 +87,7 @@ class UnrenderedStimuli:
 
 @dataclass(frozen=True, slots=True)
 class SittingOutcome:
-    """How a sitting ended.
-
-    Attributes:
-        complete: whether all was asked.
-        kept: judgements on disk, of all sittings.
-        why: it paused; "" when complete.
-        fault: that nobody could mend; None of a pause that was wished.
-    """
+    """Outcome of a session: judgments on disk, and the fault that ended it, if any."""
 
     complete: bool
     kept: int
@@ -119,11 +100,7 @@ class _PausedError(Exception):
 
 
 def ask_enrolment(design: ExperimentDesign, desk: SittingDesk) -> Enrolment:
-    """Ask a new participant for consent, and then for what the design wants to know.
-
-    Raises:
-        EOFError: nobody answers.
-    """
+    """Ask a new participant for consent, and then for what the design wants to know."""
     desk.tell("Before anything else: has the participant agreed, by your institution's form, to take part?")
     if not _yes(desk, "consent, yes or no"):
         return Enrolment(consent=False)
@@ -170,15 +147,8 @@ def _until(desk: SittingDesk, prompt: str, read: Callable[[str], str]) -> str:
 
 
 class SittingDialogue:
-    """Asks trial after trial, and keeps each answer at once.
-
-    Args:
-        sitting: open.
-        desk: of the experimenter.
-        presenter: of rendered stimuli; None where there are direct ones alone.
-        clock: for times of answers.
-        answerer: that answers in place of a participant; then nothing is asked at the desk but what to do on
-            a fault.
+    """Dialogue of a session; an `answerer` replaces the participant, no `presenter` is needed for direct
+    stimuli.
     """
 
     def __init__(
@@ -353,15 +323,8 @@ class SittingDialogue:
 
 
 def noisy_answers(design: ExperimentDesign, participant: str, noise: float) -> Answerer:
-    """A simulated observer, who perceives softness with Gaussian noise, of each stimulus in each trial anew.
-
-    Args:
-        design: of the experiment.
-        participant: code; with the design's seed it makes the draws.
-        noise: standard deviation [unit of the levels], 0 or more.
-
-    Raises:
-        RangeError: another noise.
+    """Return an observer with Gaussian noise [unit of the level], seeded by the design and
+    the participant.
     """
     if not 0 <= noise < math.inf:
         raise RangeError(f"a noise of {noise}; 0 or more, in the unit of the levels, is allowed")
@@ -399,19 +362,7 @@ def _wished(text: str, count: int) -> int | None:
 
 
 def read_answer(text: str, trial: PlannedTrial, codes: Sequence[str]) -> tuple[str, ...]:
-    """An answer as it was typed: by places, 1 2 3, or by letters; letters of a ranking may stand together.
-
-    Args:
-        text: typed.
-        trial: that was asked.
-        codes: letters of what was presented, in its order.
-
-    Returns:
-        Names of stimuli, as of a judgement.
-
-    Raises:
-        InputError: it is none; the message names what is missing or stands twice, by what was typed.
-    """
+    """Parse an answer given as positions (1 2 3) or letters into names of stimuli."""
     words = text.upper().replace(",", " ").split()
     wanted = 1 if trial.task is Task.PAIR else len(codes)
     if len(words) == 1 and wanted > 1 and all(len(one) == 1 for one in codes) and len(codes) < 10:

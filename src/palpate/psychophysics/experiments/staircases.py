@@ -27,16 +27,13 @@ from palpate.core import InputError
 
 @dataclass(frozen=True, slots=True)
 class StaircaseRule:
-    """How a staircase goes.
+    """Rule of a staircase.
 
     Attributes:
-        right: right answers in a row for a step nearer to the standard, 1 or more.
-        wrong: wrong answers in a row for a step away, 1 or more.
-        steps: sizes of a step nearer, in places of the order of stimuli; the next one after each reversal,
-            and the last from then on.
-        up_ratio: how many times as far a step away is.
-        reversals: after how many the track ends.
-        max_trials: after how many trials it ends too.
+        right, wrong: consecutive answers for a step nearer to the standard, and away from it.
+        steps: step sizes [positions]; the next one after each reversal.
+        up_ratio: size of a step away over that of one nearer.
+        reversals, max_trials: whichever comes first ends the track.
     """
 
     right: int = 2
@@ -69,15 +66,12 @@ class StaircaseRule:
 
 @dataclass(frozen=True, slots=True)
 class StaircaseState:
-    """How a track stands after some answers.
+    """State of a track.
 
     Attributes:
-        place: of the next comparison; 0 is nearest to the standard.
-        trials: so far.
-        reversals: places at which it turned.
-        way: of the last step, -1 nearer, +1 away, 0 before the first.
-        in_row: equal answers since the last step: right ones count up from 0, wrong ones down.
-        ended: whether it is over.
+        place: position of the next comparison; 0 is nearest to the standard.
+        way: direction of the last step, -1 nearer, +1 away, 0 before the first.
+        in_row: consecutive equal answers; correct ones count up, wrong ones down.
     """
 
     place: int
@@ -89,24 +83,14 @@ class StaircaseState:
 
     @property
     def threshold(self) -> float:
-        """Mean place of the reversals but the first, of an even number of them; NaN of too few.
-
-        An even number has as many turns above as below, which Levitt asks for.
-        """
+        """Mean position of an even number of reversals without the first (Levitt); NaN if too few."""
         kept = self.reversals[1:]
         kept = kept[len(kept) % 2 :]
         return math.nan if not kept else sum(kept) / len(kept)
 
 
 def begin_staircase(places: int) -> StaircaseState:
-    """The beginning of a track, at the comparison farthest from the standard.
-
-    Args:
-        places: how many comparisons there are.
-
-    Raises:
-        InputError: none.
-    """
+    """The beginning of a track, at the comparison farthest from the standard."""
     if places < 1:
         raise InputError(
             "a staircase without a comparison; put a stimulus on that side of the standard",
@@ -116,11 +100,7 @@ def begin_staircase(places: int) -> StaircaseState:
 
 
 def step_staircase(rule: StaircaseRule, places: int, state: StaircaseState, right: bool) -> StaircaseState:
-    """How a track stands after one more answer. At an end of the set it stays there, which is no reversal.
-
-    Raises:
-        InputError: it was over.
-    """
+    """How a track stands after one more answer. At an end of the set it stays there, which is no reversal."""
     if state.ended:
         raise InputError(
             f"an answer beyond the end of a staircase, at trial {state.trials + 1}; leave it out",

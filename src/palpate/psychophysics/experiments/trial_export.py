@@ -108,14 +108,7 @@ RANK_COLUMNS: Columns = {
 
 @dataclass(frozen=True, slots=True)
 class ExportSummary:
-    """What was exported.
-
-    Attributes:
-        participants: BIDS labels.
-        complete: labels of those who were asked all.
-        judgements: of all.
-        simulated: whether nothing of it is a measurement.
-    """
+    """Summary of an export."""
 
     participants: tuple[str, ...]
     complete: tuple[str, ...]
@@ -124,19 +117,7 @@ class ExportSummary:
 
 
 def export_trials(design: ExperimentDesign, out: Path, simulated: bool = False) -> ExportSummary:
-    """Write all participants who consented into a new folder.
-
-    Args:
-        design: of the experiment.
-        out: folder to make; must not exist.
-        simulated: those of rehearsals, in place of those who were measured.
-
-    Raises:
-        ExistsError: `out` exists.
-        InputError: nobody has been enrolled; or a design that was changed since; or two codes of one label.
-        LabelError: judgements that are not those that the schedule asks for.
-        StorageError: the disk refused; nothing is left then.
-    """
+    """Write all participants with consent (or all rehearsals) into a new folder."""
     enrolled = [one for one in records(design, simulated) if one.consent in ("yes", "simulated")]
     if not enrolled:
         where = home_of(design, simulated)

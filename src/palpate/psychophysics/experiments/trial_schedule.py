@@ -58,10 +58,7 @@ def draw_of(seed: int, number: int, simulated: bool) -> tuple[object, ...]:
 
 
 def williams_rows(count: int) -> list[tuple[int, ...]]:
-    """Orders of `count` conditions, balanced for what comes before what; every other is the mirror of one.
-
-    An odd number needs twice as many rows, those of the square and their mirrors; an even one as many rows.
-    """
+    """Return orders of `count` conditions, balanced for first-order carryover; 2 x count rows if odd."""
     zigzag = [(k + 1) // 2 if k % 2 else -(k // 2) for k in range(count)]
     square = [tuple((one + row) % count for one in zigzag) for row in range(count)]
     if count % 2 == 0 or count == 1:
@@ -70,12 +67,7 @@ def williams_rows(count: int) -> list[tuple[int, ...]]:
 
 
 def allocation(file: ExperimentFile, number: int) -> tuple[int, int]:
-    """A participant's group, and their place in it, both counted from 0.
-
-    Args:
-        file: the design.
-        number: of the participant, from 1.
-    """
+    """Return group and position within the group, from 0, of participant `number`, from 1."""
     sizes = [group.participants for group in file.group]
     turns = [
         group
@@ -102,12 +94,7 @@ def order_of_conditions(file: ExperimentFile, number: int) -> Iterator[tuple[Pre
 
 @dataclass(frozen=True, slots=True)
 class PlannedTrial:
-    """A trial that comes next.
-
-    Attributes:
-        presentation, condition, task, block, trial: as of the judgement that it asks for.
-        presented: names of stimuli, in the order of presentation.
-    """
+    """The next trial, with the stimuli in order of presentation."""
 
     presentation: Presentation
     condition: Condition
@@ -146,15 +133,11 @@ class FixedBlock:
 
 @dataclass(frozen=True, slots=True)
 class StaircaseBlock:
-    """A block of staircases, one of each side in turn, in a drawn order.
+    """Interleaved staircases.
 
     Attributes:
-        standard: that every comparison meets.
-        sides: comparisons of each track, the nearest to the standard first.
-        softer: of each track whether its comparisons are softer than the standard.
-        rule: of all tracks.
-        turns: of each round the order of tracks.
-        standard_first: of each trial.
+        sides: comparisons of each track, nearest to the standard first.
+        turns: order of tracks in each round.
     """
 
     presentation: Presentation
@@ -201,14 +184,7 @@ class StaircaseBlock:
 
 @dataclass(frozen=True, slots=True)
 class BayesianBlock:
-    """A block whose comparisons are placed by what the answers so far leave open.
-
-    Attributes:
-        standard: that every comparison meets.
-        comparisons: that may be presented.
-        x: their softness minus the standard's [unit of the level].
-        standard_first: of each trial.
-    """
+    """A block whose comparisons are placed by what the answers so far leave open."""
 
     presentation: Presentation
     condition: Condition
@@ -254,13 +230,7 @@ def _pair(standard: str, comparison: str, standard_first: bool) -> tuple[str, st
 
 @dataclass(frozen=True, slots=True)
 class Schedule:
-    """All that a participant is to be asked.
-
-    Attributes:
-        number: of the participant, from 1.
-        group: that they are in.
-        blocks: in order.
-    """
+    """All blocks of a participant, in order."""
 
     number: int
     group: GroupPart
@@ -288,13 +258,8 @@ class Schedule:
         return not any(isinstance(block, StaircaseBlock) for block in self.blocks)
 
     def next(self, judgements: Sequence[Judgement]) -> PlannedTrial | None:
-        """The trial after some judgements, all of which have to be those that the schedule asks for.
-
-        Returns:
-            It; None where all is done.
-
-        Raises:
-            LabelError: a judgement that stands elsewhere in the schedule, twice in it, or nowhere.
+        """Return the trial after the given judgments, None at the end; reject judgments not
+        on the schedule.
         """
         i = 0
         for block in self.blocks:
@@ -335,17 +300,7 @@ def _block_row(block: PlannedBlock) -> dict[str, object]:
 
 
 def make_schedule(design: ExperimentDesign, number: int, simulated: bool = False) -> Schedule:
-    """The schedule of a participant.
-
-    Args:
-        design: of the experiment, with its seed.
-        number: of the participant, from 1, in the order in which they came.
-        simulated: whether it is a rehearsal: of the same group and conditions as the participant of that
-            number, but with trials drawn for itself, so that it tells nothing of theirs.
-
-    Raises:
-        InputError: a number below 1, or a task that the stimuli cannot carry.
-    """
+    """Return the schedule of participant `number`, from 1; rehearsals have trials of their own."""
     if number < 1:
         raise InputError(f"participant number {number}; they count from 1")
     blocks: list[PlannedBlock] = []

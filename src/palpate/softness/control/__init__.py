@@ -1,4 +1,4 @@
-"""Control of a rendering bench: references, servos, what must not be believed, and the loop that ticks."""
+"""Control of a rendering bench: references, servos, plausibility checks, and the loop."""
 
 from palpate.softness.control.arm_servo import ArmServo
 from palpate.softness.control.bench_watch import BenchLimits

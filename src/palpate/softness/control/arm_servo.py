@@ -1,21 +1,11 @@
-"""Servo of the arm: it carries the display to where force over displacement is the object's.
+"""Servo of the arm: moves the display until force over displacement matches the object.
 
-Of the tip's push s and the arm's displacement a, the object asks that beta(s + a) = alpha(A(s)). The
-report's reference for the arm is a_ref = beta^-1(alpha(A)) - s, and it has the same zero. But a finger that
-holds still turns every movement of the arm into one of the tip, s = y - a, so that for an object harder than
-the display the arm runs after a reference that runs from it: the loop's gain comes to 1 where contact begins.
-So what is driven to 0 here is the difference of the two forces, over both stiffnesses,
+With tip push s and arm displacement a, the servo drives the force difference over both stiffnesses to 0,
 
-    e = (alpha(A(s)) - beta(s + a)) / (alpha' + beta' + k0),
+    e = (alpha(A(s)) - beta(s + a)) / (alpha' + beta' + k0),    F = p A + k s - m (w^2 e + 2 z w e').
 
-whose slope over a lies between -1 and 0 whether the finger is stiff or soft. k0 makes the arm indifferent
-where neither cue has force. In CM3 the whole displacement is to be 0: e = -(s + a). In CM2 a rigid plate is
-in the display's place, and the arm gives beta(a) itself, with its own friction taken off.
-
-    F = p A + k s - m (w^2 e + 2 z w e')
-
-The first two terms carry the finger's force; m is the arm's mass, w its bandwidth. A bandwidth 1.5 times the
-default's oscillates in CM3 on the virtual bench, whose loop is some 4 ms late.
+The slope of e over a stays between -1 and 0 for stiff and soft fingers, unlike that of the printed reference
+beta^-1(alpha(A)) - s, which has the same zero. CM3 uses e = -(s + a); CM2 renders beta(a) directly.
 """
 
 from __future__ import annotations
@@ -31,13 +21,7 @@ CREEP_M_S = 0.01  # below which the direction of friction is not told from noise
 
 @dataclass(frozen=True, slots=True)
 class BenchState:
-    """What the sensors of a bench say in one period.
-
-    Attributes:
-        pushed_m, push_speed_m_s: of the tip.
-        arm_m, arm_speed_m_s: of the arm.
-        force_n: of the display, from its measured pressure: p A and the sleeve's [N].
-    """
+    """Sensor state of a bench in one period; `force_n` is the display's, p A and sleeve."""
 
     pushed_m: float
     push_speed_m_s: float
@@ -58,15 +42,7 @@ class BenchState:
 
 @dataclass(frozen=True, slots=True)
 class ArmServo:
-    """Force of the arm in one period.
-
-    Attributes:
-        mass_kg: m, that the arm moves, as it is believed [kg].
-        bandwidth_hz: w over 2 pi [Hz].
-        ratio: z, of damping.
-        floor_n_m: k0 [N/m].
-        friction_n: Coulomb, of the arm, as it is believed [N].
-    """
+    """Force of the arm, with m `mass_kg`, w / 2 pi `bandwidth_hz`, z `ratio`, and k0 `floor_n_m`."""
 
     mass_kg: float = 0.30
     bandwidth_hz: float = 20.0
@@ -75,14 +51,7 @@ class ArmServo:
     friction_n: float = 0.08
 
     def force_n(self, mode: Mode, now: BenchState, wanted: Reference, *, touched: bool) -> float:
-        """Force against the finger's press [N].
-
-        Args:
-                mode: of the rendering.
-            now: the bench's state.
-            wanted: its references.
-            touched: whether a finger presses; where none does, the arm goes to 0.
-        """
+        """Return the force against the press [N]; without touch the arm returns to 0."""
         w = 2 * math.pi * self.bandwidth_hz
         if mode is Mode.KINESTHETIC:
             back = min(now.arm_m, 0.0)  # it stands at 0 where nobody presses

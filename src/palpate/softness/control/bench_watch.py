@@ -1,10 +1,4 @@
-"""What must not be believed of a rendering bench's devices, and what stops it, period by period.
-
-The size, rate and age of the force on the finger are watched as those on a skin (`devices.force_watch`). What
-is a display's or an arm's own is here: a tip where it cannot be, a chamber that does not hold what it is
-told, sensors that repeat themselves or jump, an arm that does not follow, and energy that comes out of an
-object which only ever took it in.
-"""
+"""Plausibility checks of a rendering bench: device states, timing, force, and energy, once per period."""
 
 from __future__ import annotations
 
@@ -20,24 +14,18 @@ SLACK = 1e-3  # of the greatest pressure, for rounding
 
 @dataclass(frozen=True, slots=True)
 class BenchLimits:
-    """Bounds of a rendering bench.
+    """Limits of a rendering bench.
 
     Attributes:
-        force: of the force on the finger.
         late_s: longest period of the loop [s]; shorter than the devices' watchdogs.
-        margin_m: by which a tip or an arm may stand outside its range: zero and noise [m].
-        jump_m_s: greatest speed of either between two samples [m/s].
-        pressure_pa: by which the chamber may differ from what it is told, for `settle_s` [Pa].
-        mean_pa, mean_share: by which it may differ in the mean over `mean_s`, beside a share of what it is
-            told: presses of 5 Hz come to half of that on the virtual bench [Pa].
-        mean_s: [s].
-        over_pa: by which it may be above that at all, for `over_s` [Pa].
-        settle_s, over_s: [s].
-        frozen_s: after which readings that repeat themselves to the last digit are not believed [s].
-        astray_m: by which the arm may miss its reference, for `astray_s` [m].
-        astray_s: [s].
-        energy_j: that may come out of an object beyond what went in since first touch [J].
-        step_n: greatest change of the arm's force from one period to the next [N].
+        margin_m: tolerance of positions outside their range [m].
+        pressure_pa, settle_s: deviation from the set-point, and for how long.
+        mean_pa, mean_share, mean_s: mean deviation, plus a fraction of the set-point, over a time constant.
+        over_pa, over_s: overpressure, and for how long.
+        frozen_s: longest time of identical readings [s].
+        astray_m, astray_s: tracking error of the arm, and for how long.
+        energy_j: energy returned by an object beyond the input since contact [J].
+        step_n: largest change of the arm's force per period [N].
     """
 
     force: ForceLimits = field(default_factory=ForceLimits)
@@ -59,13 +47,7 @@ class BenchLimits:
 
 
 class BenchWatch:
-    """Trips on what must stop a bench; one for each rendering.
-
-    Args:
-        limits: to keep to.
-        display: what the display states of itself; None where a plate is in its place.
-        arm: what the arm states of itself.
-    """
+    """Checks of one rendering; `display` is None if a plate is in its place."""
 
     def __init__(self, limits: BenchLimits, display: DisplayRange | None, arm: ArmRange) -> None:
         self._limits, self._display, self._arm = limits, display, arm
@@ -77,11 +59,7 @@ class BenchWatch:
         self.energy_j = 0.0
 
     def period(self, before_ns: int | None, now_ns: int) -> None:
-        """Trip on a period that came too late.
-
-        Raises:
-            Tripped: loop-late.
-        """
+        """Trip on a period that came too late."""
         if before_ns is not None and now_ns - before_ns > self._limits.late_s * NS_PER_S:
             raise Tripped(
                 Reason.LOOP_LATE,
@@ -90,11 +68,7 @@ class BenchWatch:
             )
 
     def samples(self, display: DisplaySample | None, arm: ArmSample, now_ns: int) -> None:
-        """Trip on samples that cannot be, are old, faulty or frozen.
-
-        Raises:
-            Tripped: display, push, arm or force-stale.
-        """
+        """Trip on samples that cannot be, are old, faulty or frozen."""
         if display is not None:
             self._display_sample(display, now_ns)
         self._plain(Reason.ARM, "arm", arm.fault, (arm.displacement_m, arm.velocity_m_s))
@@ -122,11 +96,7 @@ class BenchWatch:
                 )
 
     def command(self, pressure_pa: float, force_n: float, greatest_pa: float) -> None:
-        """Trip on references that are no numbers, or that no law gives.
-
-        Raises:
-            Tripped: reference.
-        """
+        """Trip on references that are no numbers, or that no law gives."""
         if not (math.isfinite(pressure_pa) and math.isfinite(force_n)):
             raise Tripped(
                 Reason.REFERENCE,
@@ -140,11 +110,7 @@ class BenchWatch:
             )
 
     def pressure(self, measured_pa: float, told_pa: float, now_ns: int) -> None:
-        """Trip on a chamber that does not hold what it was told: a stuck valve, a leak, no supply.
-
-        Raises:
-            Tripped: pressure.
-        """
+        """Trip on a chamber that does not hold what it was told: a stuck valve, a leak, no supply."""
         off, limits = measured_pa - told_pa, self._limits
         self._check_mean(abs(off), told_pa, now_ns)
         for name, where, within_s, allowed in (
@@ -177,18 +143,7 @@ class BenchWatch:
             )
 
     def touch(self, force_n: float, speed_m_s: float, dt_s: float, time_ns: int, *, touched: bool) -> None:
-        """Trip on too much force or too fast a rise, and on energy that no elastic object gives.
-
-        Args:
-            force_n: on the finger [N].
-            speed_m_s: of the finger's surface, positive as it presses [m/s].
-            dt_s: since the last period [s].
-            time_ns: of the sample [ns].
-            touched: whether a finger presses.
-
-        Raises:
-            Tripped: force-limit, force-rate or energy.
-        """
+        """Trip on force, force rate, or energy returned; `speed_m_s` is positive while pressing."""
         self._force.check_size(abs(force_n))
         self._force.check_rate(time_ns, force_n)
         self.energy_j = self.energy_j + force_n * speed_m_s * dt_s if touched else 0.0
@@ -200,11 +155,7 @@ class BenchWatch:
             )
 
     def arm_error(self, error_m: float, now_ns: int) -> None:
-        """Trip on an arm that does not follow.
-
-        Raises:
-            Tripped: arm.
-        """
+        """Trip on an arm that does not follow."""
         if self._lasts("astray", abs(error_m) > self._limits.astray_m, self._limits.astray_s, now_ns):
             raise Tripped(
                 Reason.ARM,

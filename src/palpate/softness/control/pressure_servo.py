@@ -1,17 +1,8 @@
-"""Servos that hold a chamber's pressure by a proportional valve: a PID, and one that knows valve and gas.
+"""Pressure servos for a proportional valve: a PID, and a feed-forward of the mass flow.
 
-Both are called once in each period of the loop with a reference and what the sensors say, and give the
-valve's opening from -1, exhaust, to 1, supply.
+`FlowServo` inverts the ISO 6358 valve for the flow that makes the gas follow the reference,
 
-`PidServo` is what a report means by a pneumatic servo where it names none: the error of pressure alone. Its
-gains were chosen on the virtual bench among sixty sets, as those that followed presses of a ball and of a
-linear object best without one of them being ended: a comparison with a PID that nobody tuned says nothing.
-`FlowServo` asks which mass flow makes the gas follow, with the push s and its speed as measured,
-
-    q = V / (n R T) (p_ref' + k (p_ref - p)) - (p + p0) A s' / (R T),
-
-and which opening of the valve lets that flow through, ISO 6358 backwards. The valve answers late, so what the
-reference and the push ask of it is foreseen by its own slope.
+    q = V / (n R T) (p_ref' + k (p_ref - p)) - (p + p0) A s' / (R T).
 """
 
 from __future__ import annotations
@@ -34,13 +25,7 @@ from palpate.softness.display_parts import (
 
 @dataclass(frozen=True, slots=True)
 class ChamberState:
-    """What a servo knows in one period.
-
-    Attributes:
-        pressure_pa: gauge, measured [Pa].
-        pushed_m: of the tip [m].
-        speed_m_s: of it [m/s].
-    """
+    """What a servo knows in one period."""
 
     pressure_pa: float
     pushed_m: float
@@ -60,13 +45,7 @@ class PressureServo(Protocol):
 
 @dataclass
 class PidServo:
-    """PID of the error of pressure.
-
-    Attributes:
-        gain_per_pa: opening for each pascal of error [1/Pa].
-        integral_s: time of the integral [s].
-        derivative_s: time of the derivative [s].
-    """
+    """PID of the pressure error."""
 
     gain_per_pa: float = 1.6e-5
     integral_s: float = 0.01
@@ -92,14 +71,11 @@ class PidServo:
 
 @dataclass
 class FlowServo:
-    """Feed-forward of the mass flow, by models of valve and gas, and a gain on what is left.
+    """Feed-forward of the mass flow with modeled valve and chamber, plus proportional feedback.
 
     Attributes:
-        shape: of the display.
-        valve, chamber: as they are believed to be.
-        gain_per_s: k [1/s].
-        lead_s: by which the flow is foreseen: the lag of spool, tube and one period [s].
-        foresight_hz: bandwidth of the slope by which it is [Hz].
+        lead_s: delay of spool, tube, and one period that is predicted [s].
+        foresight_hz: bandwidth of the derivative used for that [Hz].
     """
 
     shape: ConeDisplay = field(default_factory=ConeDisplay)

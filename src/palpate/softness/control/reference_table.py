@@ -1,4 +1,4 @@
-"""References of both devices at equal steps, so that a period of the loop looks them up in microseconds."""
+"""References of both devices tabulated at equal steps, for lookup within a period of the loop."""
 
 from __future__ import annotations
 
@@ -17,12 +17,7 @@ Table = Float[ndarray, " n"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Curve:
-    """Values at equal steps from 0, and their slope, joined by straight lines; held beyond both ends.
-
-    Attributes:
-        step: between two of them.
-        values: at 0, step, 2 step, ...
-    """
+    """Piecewise linear values at equal steps from 0, held beyond both ends."""
 
     step: float
     values: Table
@@ -39,13 +34,8 @@ class Curve:
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """What is asked of a bench in one state.
-
-    Attributes:
-        pressure_pa, pressure_slope: of the chamber, and over the push [Pa], [Pa/m].
-        force_n, force_slope: that the display then gives, and over the push [N], [N/m].
-        area_m2: contact area [m^2].
-        object_n, object_slope: force of the object at the whole displacement, and over it [N], [N/m].
+    """References in one state: pressure and display force with slopes over push, object force over
+    displacement.
     """
 
     pressure_pa: float
@@ -63,15 +53,7 @@ class Reference:
 
 
 class ReferenceTable:
-    """References of a rendering law.
-
-    Args:
-        law: of an object; in CM2 a plate is in the display's place, and nothing is asked of it.
-
-    Attributes:
-        law: the same.
-        height_m: of the display [m].
-    """
+    """Tabulated references of a rendering law."""
 
     def __init__(self, law: RenderingLaw) -> None:
         self.law, self.height_m = law, law.display.height_m

@@ -1,8 +1,6 @@
-"""Loop that renders an object: once in a period it reads both devices, and tells both what to do.
+"""Rendering loop: reads both devices once per period and commands both.
 
-Whatever fails, in a device, in the loop or by the operator's wish, ends in one safe state: the chamber vents
-and the arm brakes, each whether or not the other can be told. Whoever does not come back to tick is found out
-by the devices' own watchdogs.
+Every fault, operator command, or exception ends in one safe state: the chamber vents and the arm brakes.
 """
 
 from __future__ import annotations
@@ -41,18 +39,7 @@ STOPS = tuple(WISHED)
 
 @dataclass(frozen=True, slots=True)
 class LoopSample:
-    """What one period measured and told.
-
-    Attributes:
-        time_s: since the loop began [s].
-        pushed_m, arm_m: of display and arm [m].
-        pressure_pa, told_pa: of the chamber, measured and told [Pa].
-        force_n: on the finger, from the measured pressure [N].
-        area_m2: contact area [m^2].
-        arm_force_n: told to the arm [N].
-        error_m: by which the arm missed its reference [m].
-        touched: whether a finger presses.
-    """
+    """Measured and commanded values of one period."""
 
     time_s: float
     pushed_m: float
@@ -72,21 +59,10 @@ class LoopSample:
 
 
 class RenderingLoop:
-    """Renders an object on a display and an arm.
-
-    Args:
-        display: the display; None in CM2, where a rigid plate is in its place.
-        arm: the arm.
-        table: references of the object.
-        clock: that the devices stamp on.
-        limits: to keep to.
-        servo: of the arm.
-        control: through which the operator stops; any command of it ends in the safe state.
-        damping_n_s_m: of the display's tip, as believed, taken off by pressure [N s/m].
+    """Renders an object on a display (None in CM2) and an arm.
 
     Attributes:
-        safe: why the devices were made safe; empty while it renders.
-        last: the last period.
+        safe: reason why the devices were made safe; empty while rendering.
     """
 
     def __init__(
@@ -110,11 +86,7 @@ class RenderingLoop:
         self.last: LoopSample | None = None
 
     def show(self, table: ReferenceTable) -> None:
-        """Turn into another object, over `CHANGE_S`; from any thread.
-
-        Raises:
-            SafetyError: it is of another display, mode or bounds.
-        """
+        """Turn into another object, over `CHANGE_S`; from any thread."""
         now, then = self._table.law, table.law
         if (then.mode, then.display, then.bounds) != (now.mode, now.display, now.bounds):
             raise SafetyError(
@@ -127,13 +99,7 @@ class RenderingLoop:
             self._next, self._changed_ns = table, self._clock.now_ns()
 
     def tick(self) -> LoopSample:
-        """One period.
-
-        Raises:
-            Tripped: what must stop it; both devices are safe.
-            OperatorInterrupt: the operator's wish; both devices are safe.
-            SafetyError: it was made safe before.
-        """
+        """One period."""
         if self.safe:
             raise SafetyError(f"this rendering has ended: {self.safe}; begin another")
         try:
@@ -150,10 +116,7 @@ class RenderingLoop:
         return self.last
 
     def make_safe(self, why: str) -> None:
-        """Vent the chamber and let the arm brake, each whether or not the other can be told.
-
-        What could not be told is said in `safe`, and the device's own watchdog acts on it.
-        """
+        """Vent and brake, independently; failures are appended to `safe` and left to the watchdogs."""
         self.safe = self.safe or why  # the first reason is the one to be told
         ways = [("arm did not brake", self._arm.brake)]
         if (display := self._display) is not None:

@@ -1,4 +1,4 @@
-"""Speed of something whose place is sampled with noise: a filter of second order that follows ramps."""
+"""Velocity estimate of a noisy sampled position by a second-order filter that follows ramps."""
 
 from __future__ import annotations
 
@@ -14,9 +14,6 @@ class SpeedTracker:
     beta = (1 - q)^2 and q = exp(-2 pi f dt): a ramp is followed without error.
 
     Reference: P. R. Kalata, IEEE Trans. Aerosp. Electron. Syst. 20 (1984) 174, doi:10.1109/TAES.1984.310438.
-
-    Attributes:
-        bandwidth_hz: f [Hz].
     """
 
     bandwidth_hz: float = 200.0

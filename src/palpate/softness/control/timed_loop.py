@@ -1,9 +1,4 @@
-"""A loop on the machine's clock: begun at equal times, with what it took and how late it came.
-
-Python on a desktop is no real-time system: a period is as late as the machine lets it be. So lateness is
-measured in every run and said, the rendering's own watch ends it at a bound, and the devices' watchdogs hold
-where the process does not come back at all.
-"""
+"""Fixed-rate loop on the monotonic clock that measures the duration and lateness of every period."""
 
 from __future__ import annotations
 
@@ -28,12 +23,7 @@ SWITCH_S = 1e-4  # between threads, so that whoever talks to others does not hol
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoopTiming:
-    """Times of a loop.
-
-    Attributes:
-        periods_s: from one beginning to the next [s].
-        work_s: that each tick took, one more [s].
-    """
+    """Periods and work durations of a loop [s]."""
 
     periods_s: Float[ndarray, " n"]
     work_s: Float[ndarray, " m"]
@@ -65,19 +55,11 @@ def run_paced(
     tick: Callable[[], object], seconds: float, heard: Callable[[float, float], object],
     goes_on: Callable[[], bool] = lambda: True,
 ) -> None:  # fmt: skip
-    """Call something once in a period, on the machine's clock.
-
-    A beginning that was missed is left out, and not made up for; one that comes late is followed by the next
-    that is half a period away.
+    """Call `tick` once per period while `goes_on()`; missed periods are skipped, the next is half a period
+    away.
 
     Args:
-        tick: called once in a period.
-        seconds: for how long [s].
-        heard: told of each when it began and how long it took [s].
-        goes_on: asked before each; False ends it.
-
-    Raises:
-        Exception: whatever `tick` raises, at once.
+        heard: receives the start and duration of each call [s].
     """
     if not 0 < seconds <= MAX_S:
         raise RangeError(
@@ -96,14 +78,7 @@ def run_paced(
 
 
 class Pace:
-    """Counts periods as they come, for whoever looks on.
-
-    Attributes:
-        periods: how many there were.
-        late: how many of them were longer than `LATE_S`.
-        longest_s: longest [s].
-        latest_s: when the last one began [s, by the performance counter].
-    """
+    """Counts periods, and those longer than `LATE_S`."""
 
     def __init__(self) -> None:
         self.periods = self.late = 0
@@ -112,7 +87,6 @@ class Pace:
         self._first = True
 
     def heard(self, began_s: float, work_s: float) -> None:
-        """Count one; see `run_paced`."""
         if not self._first:
             period = began_s - self.latest_s
             self.periods += 1

@@ -1,4 +1,4 @@
-"""A rendering in a process of its own: the bench that it opens, the loop that it runs, and its client."""
+"""Rendering in a process of its own: bench file, loop owner, and client."""
 
 from palpate.softness.process.bench_file import BenchFile, read_bench
 from palpate.softness.process.rendering_messages import RenderingStatus

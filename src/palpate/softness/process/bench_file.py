@@ -1,8 +1,4 @@
-"""A rendering bench from a TOML file: which display and arm, what they are, and how hard they may press.
-
-Millimetres, newtons and kilopascals in the file, since people write it; SI behind it. A driver is imported
-only where the file names it. Without a file there is a virtual bench, with a virtual finger.
-"""
+"""Rendering bench from a TOML file in mm, N, and kPa: devices and limits; virtual without a file."""
 
 from __future__ import annotations
 
@@ -143,14 +139,7 @@ class BoundsPart(Part):
 
 
 class BenchFile(Part):
-    """The whole file.
-
-    Attributes:
-        name: of the bench, by default its file's; whoever stops it by name gives this.
-        display, arm: the devices; both are left out of a virtual bench.
-        cone: of the display.
-        limits: of the rendering.
-    """
+    """The whole file; without display and arm the bench is virtual."""
 
     name: Annotated[str, Field(min_length=1, max_length=80)] = "virtual softness bench"
     display: DisplayPart | None = None
@@ -178,15 +167,7 @@ class BenchFile(Part):
 
 @parser("softness bench", InputError)
 def read_bench(path: Path | None) -> BenchFile:
-    """Read a bench's file, and check it; nothing is opened.
-
-    Args:
-        path: of the file; None for the virtual bench.
-
-    Raises:
-        InputError: there is none; or a field that is not one, or out of range; or no such driver.
-        StorageError: it cannot be read.
-    """
+    """Read and validate a bench file, None for the virtual bench; nothing is opened."""
     if path is None:
         return BenchFile()
     if not path.is_file():
@@ -210,16 +191,7 @@ def read_bench(path: Path | None) -> BenchFile:
 
 @dataclass(frozen=True, slots=True)
 class OpenedBench:
-    """Devices of a bench, open, and what a law needs to know of them.
-
-    Attributes:
-        display: None where a plate is in its place.
-        arm: that carries either.
-        cone: the display's shape.
-        bounds: of both.
-        damping_n_s_m: of the display's tip [N s/m].
-        simulated: whether nothing is real.
-    """
+    """Open devices of a bench, and what a law needs of them; `display` is None if a plate is in its place."""
 
     display: SoftnessDevice | None
     arm: HapticArm
@@ -230,15 +202,7 @@ class OpenedBench:
 
 
 def open_real_bench(file: BenchFile, mode: Mode, clock: Clock, opened: ExitStack) -> OpenedBench:
-    """Open the devices that a file names; each is closed, and so vented or braking, with the stack.
-
-    In CM2 a display is not opened: a rigid plate has to be in its place.
-
-    Raises:
-        SafetyError: the mode needs a display, and there is none.
-        DeviceError: a device is missing, busy or refuses.
-        PluginError: a driver does not keep its protocol.
-    """
+    """Open the devices of a file, closed with the stack; in CM2 the display is not opened."""
     if file.display is None and mode is not Mode.KINESTHETIC:
         raise SafetyError(
             f"{mode.value} on the bench {file.name!r}, which has no [display]; without one there is CM2 alone"

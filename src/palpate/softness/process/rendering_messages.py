@@ -1,8 +1,4 @@
-"""What a rendering's process and its client tell each other, as plain values; see `devices.supervisor`.
-
-An object goes in pieces, so that no line is longer than a pipe takes at once, and none takes the process so
-long to read that a period of its loop is missed.
-"""
+"""Messages between a rendering process and its client; an object is sent in pieces of one line each."""
 
 from __future__ import annotations
 
@@ -30,19 +26,7 @@ Message = dict[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class RenderingStatus:
-    """How a rendering stands.
-
-    Attributes:
-        state: "opens", "renders" or "ended".
-        why: it ended; empty while it has not.
-        object: name of what is rendered.
-        mode: in which.
-        periods: of the loop so far.
-        late_share: share of them longer than 1.5 ms.
-        longest_s: longest of them [s].
-        simulated: whether no device is real.
-        wished: whether it ended because somebody wished it.
-    """
+    """State of a rendering; `wished` if it ended on request."""
 
     state: str
     why: str
@@ -105,11 +89,7 @@ class ObjectPieces:
         self._columns: dict[str, list[float]] = {}
 
     def take(self, message: Mapping[str, Any]) -> None:
-        """One more piece.
-
-        Raises:
-            ProtocolError: it is of no curve, or there are too many.
-        """
+        """One more piece."""
         name = str(message.get("column"))
         if name not in COLUMNS:
             raise ProtocolError(f"a piece of {name!r}; an object has {', '.join(COLUMNS)}")
@@ -119,11 +99,7 @@ class ObjectPieces:
             raise ProtocolError(f"a curve of more than {MAX_POINTS} points")
 
     def whole(self, message: Mapping[str, Any]) -> SoftObject:
-        """The object, by its last piece; what comes then is another's.
-
-        Raises:
-            InputError: its curves do not rise, or are empty.
-        """
+        """The object, by its last piece; what comes then is another's."""
         columns, self._columns = self._columns, {}
         area_x, area_force, x, force = (np.array(columns.get(name, []), float) for name in COLUMNS)
         return SoftObject(

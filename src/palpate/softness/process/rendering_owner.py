@@ -1,10 +1,8 @@
-"""Owner of a display and an arm, which renders an object on them for one client, and is safe without it.
+"""Owner of a display and an arm that renders an object for one client.
 
-Three threads: one ticks, and alone moves anything; one reads what the client wishes, and makes the tables of
-a new object; one tells the client how it goes, and looks after the loop. The rendering ends, with the chamber
-vented and the arm braking, when the client is gone, or has not answered for `SILENT_S`; by the operator's
-wish; on any fault; and when no period has ended for `HANGS_S`, where what hangs lets that be told. Whatever
-hangs longer is left to the devices' own watchdogs.
+One thread runs the loop, one reads the client, one reports and supervises. The rendering ends, vented and
+braking, when the client is gone or silent for `SILENT_S`, on request, on a fault, or when no period ends for
+`HANGS_S`. The devices' own watchdogs cover a process that hangs longer.
 """
 
 from __future__ import annotations
@@ -46,15 +44,7 @@ ENDED_S = 0.5
 
 
 class RenderingOwner:
-    """Renders on a bench for a client. See `palpate.devices.supervisor.owning_process.DeviceOwner`.
-
-    Args:
-        bench: open; whoever opened it closes it.
-        law: to begin with.
-        limits: to keep to.
-        clock: that the devices stamp on.
-        send: takes a message to the client, and never waits.
-    """
+    """Renders for a client (a `DeviceOwner`); the caller closes `bench`, and `send` never blocks."""
 
     def __init__(
         self, bench: OpenedBench, law: RenderingLaw, limits: BenchLimits, clock: Clock, send: Send

@@ -1,4 +1,4 @@
-"""A rendering in a process of its own, as seen by whoever began it."""
+"""Client of a rendering process."""
 
 from __future__ import annotations
 
@@ -37,22 +37,7 @@ KEPT = 6000  # samples, of a minute
 
 
 class RenderingSession(Closing):
-    """Renders an object on a bench until it is closed; the devices are safe whenever it is not told to go on.
-
-    Args:
-        bench: which devices; see `read_bench`.
-        soft: the object.
-        mode: CM1, CM2 or CM3.
-        peak_n: force that the virtual finger of a virtual bench comes to [N].
-        frequency_hz: of its presses [Hz].
-
-    Attributes:
-        law: what it renders.
-        told_s: when the process told anything last [s, monotonic time].
-
-    Raises:
-        PalpateError: a device does not open, or the object cannot be rendered on it.
-    """
+    """Renders an object on a bench until closed; `peak_n` and `frequency_hz` are of the virtual finger."""
 
     def __init__(
         self, bench: BenchFile, soft: SoftObject, mode: Mode, peak_n: float = 1.0, frequency_hz: float = 1.0
@@ -87,11 +72,7 @@ class RenderingSession(Closing):
         return samples
 
     def show(self, soft: SoftObject) -> None:
-        """Turn into another object, in the same mode.
-
-        Raises:
-            PalpateError: it cannot be rendered, or the process is gone.
-        """
+        """Turn into another object, in the same mode."""
         law = law_of_row(self._link.facts, soft)  # what cannot be is refused before anything is sent
         *pieces, last = object_messages(soft)
         for piece in pieces:
@@ -110,11 +91,7 @@ class RenderingSession(Closing):
         self._link.tell("command", command=OperatorCommand.ESTOP)
 
     def close(self) -> None:
-        """End, and wait until the devices were let go.
-
-        Raises:
-            DeviceError: they were not.
-        """
+        """End, and wait until the devices were let go."""
         self._link.close()
         self._hearing.join()
 

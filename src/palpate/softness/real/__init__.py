@@ -1,4 +1,4 @@
-"""Real devices of softness: an arm, a contact-area display."""
+"""Drivers of softness devices: an arm and a contact-area display."""
 
 from palpate.softness.real.force_dimension_arm import ForceDimensionArm, ForceDimensionSpec
 from palpate.softness.real.labjack_display import LabJackDisplay, LabJackSettings

@@ -1,19 +1,10 @@
-"""A haptic arm of Force Dimension, over the library forcedimension-core. Tried on a fake only.
+"""Force Dimension arm over the library forcedimension-core. Tested on a fake only.
 
-The arm carries the display and pushes it along one of its own axes. A virtual guide, which is a spring and a
-damper that are no stronger than stated, holds it to that axis. The arm is driven by forces and not by the
-maker's position loop (module drd), since the controller of softness asks for forces.
+The arm is driven by forces along one of its axes; a virtual spring and damper guide it to that axis. Safety
+lies in the device: watchdog, velocity threshold, and force cap, set and read back before the first force.
+Every return code is checked; a failure brakes the arm and raises. `brake` never waits for another thread.
 
-What is safe lies in the device. Its firmware drops the force and brakes where no force comes for the
-watchdog's time, and where it moves faster than the threshold that its maker set, which is left alone; the
-maker's library caps the force. All are set and read back before a force is sent. Every code that the library
-returns is checked: one that says failure brakes the arm and raises.
-
-The library may be called from several threads, so `brake` waits for nothing.
-
-Sources: names, arguments, units and codes as in forcedimension-core 1.0.0 (modules dhd, dhd.expert, constants
-and containers) and its reference (forcedimension-core-python-docs.readthedocs.io), which says what the modes,
-brakes, watchdog and velocity threshold do.
+Source: forcedimension-core 1.0.0 and its reference, forcedimension-core-python-docs.readthedocs.io.
 """
 
 from __future__ import annotations
@@ -60,29 +51,18 @@ FROZEN = "position frozen"
 
 @dataclass(frozen=True, slots=True)
 class ForceDimensionSpec:
-    """Specification of how an arm stands and what it may do.
+    """Mounting and limits of an arm.
 
     Attributes:
-        press_axis: axis of the device along which the finger presses, "x", "y" or "z".
-        press_sign: 1 where the finger presses towards greater coordinates of that axis, -1 otherwise.
-        zero_m: x, y, z of the device where the finger touches first, on the guide [m].
-        least_m, greatest_m: displacement that it reaches [m].
-        force_n: greatest force along the press, to either side; at most 20 N.
-        effector_kg: mass of what it carries, the display with it; for its weight [kg].
-        serial: number of the device; None for the first that is free.
-        watchdog_s: time without a new force after which it drops the force: 2 to 31.875 ms, taken down to a
-            whole number of 125 us [s].
-        guide_n_m: stiffness of the guide across the press; 0 for none [N/m].
-        guide_ns_m: damping of the guide, by a velocity that is late. On the fake the defaults bring to a
-            stand what weighs 0.1 to 1 kg in all; more of either lets what is light swing [N s/m].
-        guide_n: greatest force of the guide [N].
+        press_axis, press_sign: device axis "x", "y", or "z" of the press, and 1 or -1 for its direction.
+        zero_m: device x, y, z at first touch, on the guide [m].
+        force_n: greatest force along the press, at most 20 N.
+        effector_kg: carried mass, for gravity compensation [kg].
+        watchdog_s: 2 to 31.875 ms, rounded down to 125 us [s].
+        guide_n_m, guide_ns_m, guide_n: stiffness (0 for none), damping, and greatest force of the guide.
         aside_m: distance from the guide that is a fault [m].
-        saturated_s: time for which its motors may not reach what is asked before that is a fault [s].
-        frozen_s: time for which its position may be the same to the last bit, while it is asked to push with
-            1 N and more, before that is a fault [s].
-
-    Raises:
-        RangeError: a number is out of its range.
+        saturated_s: duration of motor saturation that is a fault [s].
+        frozen_s: duration of an identical position at 1 N or more that is a fault [s].
     """
 
     press_axis: str
@@ -142,12 +122,7 @@ class ForceDimensionSpec:
     def guide_force_n(
         self, aside_m: tuple[float, float], drift_m_s: tuple[float, float]
     ) -> tuple[float, float]:
-        """Force of the guide, -k x - b v, no longer than its limit [N].
-
-        Args:
-            aside_m: from the guide, along the two axes across the press [m].
-            drift_m_s: velocity along them [m/s].
-        """
+        """Return the guide force -k x - b v across the press, limited in magnitude [N]."""
         u, v = (
             -self.guide_n_m * at - self.guide_ns_m * speed
             for at, speed in zip(aside_m, drift_m_s, strict=True)
@@ -158,20 +133,13 @@ class ForceDimensionSpec:
 
 
 class ForceDimensionArm(Closing):
-    """A `palpate.core.HapticArm`; a context manager that brakes it on the way out.
+    """A `palpate.core.HapticArm`; opened braking, and braked on exit.
 
-    It is opened braking: `release` lets it take forces. A force has to come at least once in every
-    `ArmRange.watchdog_s`. After the device has braked by itself, `latest` says why and `set_force` refuses,
-    until `release`. Velocity is the library's own: over its last 20 ms, and so late by 10 ms.
+    A force must come within every `ArmRange.watchdog_s`. After the device has braked by itself, `latest`
+    reports why and `set_force` refuses until `release`. The library's velocity is late by 10 ms.
 
     Args:
-        spec: how it stands and what it may do.
-        clock: that its samples are stamped on.
-        library: the module forcedimension_core, or what stands in for it; imported where it is left out.
-
-    Raises:
-        MissingExtraError: the library, or the maker's that it needs, is not installed.
-        DeviceError: there is no arm, it is not calibrated, or it did not take a limit.
+        library: the module forcedimension_core, or a stand-in.
     """
 
     def __init__(self, spec: ForceDimensionSpec, clock: Clock | None = None, library: Any = None) -> None:
@@ -199,16 +167,10 @@ class ForceDimensionArm(Closing):
 
     @property
     def range(self) -> ArmRange:
-        """Its reach, force and watchdog. See `palpate.core.HapticArm`."""
         spec = self._spec
         return ArmRange(spec.least_m, spec.greatest_m, spec.force_n, spec.ticks * TICK_S)
 
     def latest(self) -> ArmSample:
-        """Its state now. See `palpate.core.HapticArm`.
-
-        Raises:
-            DeviceError: a call failed or a place is no number; it was told to brake.
-        """
         self._check_open()
         place_m, velocity_m_s = self._motion()
         time_ns = self._clock.now_ns()
@@ -222,12 +184,6 @@ class ForceDimensionArm(Closing):
         )
 
     def set_force(self, force_n: float) -> None:
-        """Push with a force against the press, and hold to the guide. See `palpate.core.HapticArm`.
-
-        Raises:
-            RangeError: more than its greatest, or what is no number; nothing is changed.
-            DeviceError: a call failed and it was told to brake, or it brakes.
-        """
         if not abs(force_n) <= self._spec.force_n:
             raise RangeError(
                 f"a force of {force_n} N; give -{self._spec.force_n:g} to {self._spec.force_n:g} N",
@@ -252,11 +208,7 @@ class ForceDimensionArm(Closing):
         self._check_takes_force()
 
     def brake(self) -> None:
-        """Drop the force and brake, until `release`. Safe at any time and from any thread.
-
-        Raises:
-            DeviceError: it did not take it; the watchdog then drops the force once none comes.
-        """
+        """Drop the force and brake, until `release`. Safe at any time and from any thread."""
         self._halts += 1
         self._braked = True  # before the call: no force is sent any more, also where it fails
         self._check_open()
@@ -269,11 +221,7 @@ class ForceDimensionArm(Closing):
             )
 
     def release(self) -> None:
-        """Let it take forces again, and push with none beside its weight and the guide.
-
-        Raises:
-            DeviceError: it does not answer, was told to brake meanwhile, or does not go into its force mode.
-        """
+        """Let it take forces again, and push with none beside its weight and the guide."""
         self._check_open()
         halts = self._halts
         self._fault, self._still = "", None
@@ -289,11 +237,7 @@ class ForceDimensionArm(Closing):
         self.set_force(0.0)
 
     def close(self) -> None:
-        """Brake, and let go of the arm. Closing again does nothing.
-
-        Raises:
-            DeviceError: it did not take the brake; it was let go nevertheless.
-        """
+        """Brake, and let go of the arm. Closing again does nothing."""
         if self._closed:
             return
         try:

@@ -1,16 +1,11 @@
-"""A contact-area display on a LabJack T7 or T4, with an analogue pressure regulator and a Hall sensor.
+"""Contact-area display on a LabJack T7 or T4, with an analog pressure regulator and a Hall sensor.
 
-DAC0 is the regulator's set-point. Two neighbouring inputs measure the tip's displacement and the chamber's
-pressure. The board's own watchdog sets DAC0 to 0 V; it is strict, so that only a new pressure feeds it, and
-no reading does. It counts whole seconds. Where that is too long for a finger, one of the board's digital
-lines changes while new pressures come, for a timer in hardware that holds a vent valve shut no longer than it
-is told.
+DAC0 is the set-point; two neighboring inputs measure displacement and pressure. The board's strict watchdog
+sets 0 V after whole seconds unless a new pressure feeds it; a digital line can feed a faster timer in
+hardware. One connection measures and sets, a second one vents, so that a vent waits for no reading. Not
+tested on hardware.
 
-The board takes two connections at a time. One measures and sets, the other vents: a vent waits for no
-reading. Both are held for as long as the device is open, which also keeps any other program from it.
-
-References: LabJack, T-series datasheet, sections 6 (Ethernet), 15 (DAC) and 23 (watchdog); Protocol details,
-direct Modbus TCP; `ljm_constants.json` for the registers. Nothing here has met a real board yet.
+References: LabJack, T-series datasheet, sections 6, 15, and 23; direct Modbus TCP; `ljm_constants.json`.
 """
 
 from __future__ import annotations
@@ -51,23 +46,14 @@ TICK_S = 1.0  # of the watchdog; nothing says when in a second it counts, so it 
 
 @dataclass(frozen=True, slots=True)
 class LabJackSettings:
-    """Settings of a display and of how it is wired.
+    """Settings and wiring of a display.
 
     Attributes:
-        host: address of the board.
-        hall: calibration of the displacement's sensor, measured on this display.
-        setpoint: scale of the regulator, in volts at the terminal DAC0, before any amplifier.
-        monitor: scale of the pressure's sensor, in volts at its input.
-        greatest_pa: gauge pressure that the chamber may hold [Pa].
-        height_m, radius_m: way of the tip until it is flat, and radius of the base [m].
-        board: which one it is, "T7" or "T4"; another one at the address is refused.
-        hall_ain: input of the displacement's sensor; the pressure's is the next one.
-        watchdog_s: of the board's watchdog, in whole seconds, 1 or more [s].
-        heartbeat_dio: digital line that changes while new pressures come; None without a timer in hardware.
-        hardware_vent_s: time after the line's last change in which that timer opens the vent, as measured on
-            this display [s].
-        timeout_s: for one answer [s].
-        port, unit: of the board.
+        setpoint, monitor: scales of regulator (volts at DAC0) and pressure sensor (volts at its input).
+        hall_ain: input of the displacement sensor; the next one is the pressure's.
+        watchdog_s: board watchdog, whole seconds [s].
+        heartbeat_dio: digital line toggled with new pressures; None without a hardware timer.
+        hardware_vent_s: measured time from the last toggle to the vent [s].
     """
 
     host: str
@@ -158,32 +144,18 @@ class LabJackSettings:
 
     @property
     def range(self) -> DisplayRange:
-        """Size, greatest pressure and watchdog of the display.
-
-        Its watchdog is the timer in hardware where there is one; else the board's, which may be late by a
-        second.
+        """Size, pressure, and watchdog: the hardware timer, or the board's watchdog, late by
+        up to a second.
         """
         late_s = self.watchdog_s + TICK_S if self.hardware_vent_s is None else self.hardware_vent_s
         return DisplayRange(self.height_m, self.radius_m, self.greatest_pa, late_s)
 
 
 class LabJackDisplay(Closing):
-    """The display. It is vented when it is opened, and takes a pressure at once.
-
-    What is lost with the connection is the pressure: after any answer that did not come, or came wrong,
-    nothing but `release` allows pressure again.
-    """
+    """The display, vented when opened. After a lost or wrong answer only `release` allows pressure again."""
 
     def __init__(self, settings: LabJackSettings, clock: Clock | None = None) -> None:
-        """Connect, set 0 V, and set and start the board's watchdog.
-
-        Args:
-            settings: the display and its wiring.
-            clock: of the samples; left out, this computer's.
-
-        Raises:
-            DeviceError: it does not answer, is another board, or does not keep the watchdog's settings.
-        """
+        """Connect, set 0 V, and start the board's watchdog."""
         self._settings, self._clock = settings, clock or MonotonicClock()
         self._state, self._setting = RLock(), Lock()  # a signal's handler may vent in between
         self._vents = 0
@@ -210,11 +182,7 @@ class LabJackDisplay(Closing):
         return self._settings.range
 
     def latest(self) -> DisplaySample:
-        """Its state now, dated in the middle of the exchange.
-
-        Raises:
-            DeviceError: it does not answer; it is vented then, if it can be.
-        """
+        """Its state now, dated in the middle of the exchange."""
         self._refuse_closed()
         asked_ns = self._clock.now_ns()
         try:
@@ -226,16 +194,7 @@ class LabJackDisplay(Closing):
         return self._sample(time_ns, hall_v, monitor_v)
 
     def set_pressure(self, pressure_pa: float, rate_pa_s: float = 0.0) -> None:
-        """Hold a gauge pressure until the next call or the watchdog.
-
-        Args:
-            pressure_pa: of the chamber, from 0 to the greatest [Pa].
-            rate_pa_s: not used: the regulator takes none [Pa/s].
-
-        Raises:
-            RangeError: a pressure outside the range, or what is no number; nothing is changed.
-            DeviceError: it does not answer, has been vented and not released, or by the watchdog.
-        """
+        """Hold a gauge pressure until the next call or the watchdog; the rate is not used."""
         if not (0 <= pressure_pa <= self._settings.greatest_pa and math.isfinite(rate_pa_s)):
             raise RangeError(
                 f"{pressure_pa} Pa, changing by {rate_pa_s} Pa/s, were asked for; the display takes 0 to "
@@ -258,14 +217,7 @@ class LabJackDisplay(Closing):
                 self._refuse_vented()
 
     def vent(self) -> None:
-        """Set 0 V, and take no pressure until `release`.
-
-        Safe at any time and from any thread. It waits for no reading; for a pressure that is on its way at
-        most as long as that may take, and it has sent 0 V before and sends it again after.
-
-        Raises:
-            DeviceError: it could not be told by either connection. The watchdog vents then.
-        """
+        """Set 0 V, and accept no pressure until `release`; from any thread, waiting for no reading."""
         self._latch("it was vented")
         if self._closed.is_set():
             return
@@ -279,11 +231,7 @@ class LabJackDisplay(Closing):
             self._tell_to_vent()
 
     def release(self) -> None:
-        """Let it hold pressure again after `vent`; the board is checked as when it was opened.
-
-        Raises:
-            DeviceError: it does not answer, is not as it was, or was vented again meanwhile.
-        """
+        """Let it hold pressure again after `vent`; the board is checked as when it was opened."""
         with self._setting:
             self._refuse_closed()
             with self._state:
@@ -295,11 +243,7 @@ class LabJackDisplay(Closing):
                 self._why = ""
 
     def close(self) -> None:
-        """Vent, and let go of the board, whose watchdog goes on. Closing again does nothing.
-
-        Raises:
-            DeviceError: it could not be vented; the connections are closed nevertheless.
-        """
+        """Vent, and let go of the board, whose watchdog goes on. Closing again does nothing."""
         if self._closed.is_set():
             return
         try:

@@ -1,11 +1,9 @@
-"""A Modbus TCP client: reads and writes 16-bit registers, and never waits for longer than it was told.
+"""Modbus TCP client with a time limit on every exchange.
 
-Every exchange is one request and one answer. The answer has to carry the request's transaction number, unit,
-function and length; anything else ends the connection, since what comes after could not be told from what
-came late. The next call opens another one.
+An answer with another transaction, unit, function, or length closes the connection; the next call reconnects.
 
-Reference: Modbus Organization, Modbus application protocol specification V1.1b3 and Modbus messaging on
-TCP/IP implementation guide V1.0b; functions 3 (read registers) and 16 (write registers).
+Reference: Modbus Organization, Modbus application protocol specification V1.1b3 (functions 3 and 16) and
+Modbus messaging on TCP/IP implementation guide V1.0b.
 """
 
 from __future__ import annotations
@@ -35,11 +33,7 @@ MAX_REGISTERS = 120  # of one request; the protocol allows 125 to read and 123 t
 
 
 class ModbusError(DeviceError):
-    """The device answered that it does not do what it was asked.
-
-    Attributes:
-        exception_code: Modbus exception code, 1 to 255; `code` is ``"modbus-exception-N"``.
-    """
+    """Exception response of the device; `exception_code` is 1 to 255."""
 
     def __init__(self, message: str, exception_code: int) -> None:
         super().__init__(message, code=f"modbus-exception-{exception_code}")
@@ -54,18 +48,7 @@ class ModbusTcp(Closing):
     """One connection to a Modbus TCP server. Calls from several threads take turns."""
 
     def __init__(self, host: str, port: int = 502, unit: int = 1, timeout_s: float = 0.5) -> None:
-        """Connect.
-
-        Args:
-            host: its name or address.
-            port: where it listens.
-            unit: number of the unit behind it, of 0 to 255.
-            timeout_s: for connecting, and for every exchange, a new connection included [s].
-
-        Raises:
-            RangeError: an argument that cannot be.
-            DeviceError: nobody answers there.
-        """
+        """Connect; `timeout_s` limits connecting and every exchange, reconnection included."""
         if not (0 < timeout_s < math.inf and 0 <= unit <= 255 and 0 < port < 65536):
             raise RangeError(
                 f"Modbus TCP port {port}, unit {unit}, time-out {timeout_s} s; give a port of 1 to 65535, a "
@@ -85,22 +68,13 @@ class ModbusTcp(Closing):
             self._connect(time.monotonic() + timeout_s)
 
     def read(self, address: int, registers: int) -> bytes:
-        """The bytes of so many registers, two each, the most significant first.
-
-        Raises:
-            DeviceError: no right answer came in time, or the device refuses (`ModbusError`).
-        """
+        """The bytes of so many registers, two each, the most significant first."""
         _check(address, registers)
         head = bytes([READ, 2 * registers])
         return self._exchange(struct.pack(">BHH", READ, address, registers), head, 2 * registers)
 
     def write(self, address: int, data: bytes) -> None:
-        """Write registers, two bytes each, and wait until the device says that it has.
-
-        Raises:
-            DeviceError: no right answer came in time: the registers may be written or not. Or the device
-                refuses (`ModbusError`).
-        """
+        """Write registers, two bytes each, and wait until the device says that it has."""
         registers = len(data) // 2
         _check(address, registers if 2 * registers == len(data) else 0)
         head = struct.pack(">BHH", WRITE, address, registers)

@@ -1,7 +1,6 @@
-"""Scales of a display's sensors: volts to millimetres by a table, volts to pascals by a line.
+"""Scales of a display's sensors: volts to millimeters by a table, volts to pascals by a line.
 
-A voltage outside its scale has no value: it is told as a fault, never held at the scale's end. A scale is
-continued by a stated tolerance alone, since the noise of a sensor at rest falls to both sides of its end.
+A voltage outside its scale, beyond a stated tolerance, has no value; it is never clipped.
 """
 
 from __future__ import annotations
@@ -19,12 +18,12 @@ class OffScaleError(RangeError):
 
 @dataclass(frozen=True, slots=True)
 class HallTable:
-    """Calibration of the sensor of the tip's displacement, a straight line between each two points.
+    """Piecewise linear calibration of the displacement sensor.
 
     Attributes:
-        volts: at the board's input, strictly rising or strictly falling, two at least [V].
-        pushed_mm: of the tip at those, strictly rising, 0 among or between them [mm].
-        tolerance_mm: by which a reading may lie beyond the table's ends or below 0 [mm].
+        volts: strictly monotonic, two or more [V].
+        pushed_mm: strictly rising, including 0 [mm].
+        tolerance_mm: allowed excess beyond the table or below 0 [mm].
 
     Example:
         >>> table = HallTable(volts=(2.5, 3.1, 4.5), pushed_mm=(0.0, 4.0, 10.0))
@@ -64,11 +63,7 @@ class HallTable:
             raise RangeError(f"a tolerance of {self.tolerance_mm} mm; give 0 mm or more")
 
     def pushed_m(self, volts: float) -> float:
-        """Displacement of the tip at a voltage [m].
-
-        Raises:
-            OffScaleError: further beyond the table or below 0 than the tolerance, or no number.
-        """
+        """Displacement of the tip at a voltage [m]."""
         v, d = self.volts, self.pushed_mm
         passed = sum((volts - each) * (v[-1] - v[0]) > 0 for each in v)
         i = max(1, min(passed, len(v) - 1))  # end of the segment, or of the nearest one
@@ -83,13 +78,7 @@ class HallTable:
 
 @dataclass(frozen=True, slots=True)
 class PressureScale:
-    """A line between volts at the board's terminal and gauge pressure.
-
-    Attributes:
-        low_v: at 0 Pa [V].
-        high_v: at the greatest pressure [V].
-        high_pa: that pressure [Pa].
-        tolerance_pa: by which a reading may lie beyond both ends [Pa].
+    """Linear scale from `low_v` at 0 Pa to `high_v` at `high_pa`, with a tolerance beyond both ends.
 
     Example:
         >>> PressureScale(low_v=1.0, high_v=5.0, high_pa=100e3).volts(25e3)
@@ -115,11 +104,7 @@ class PressureScale:
         return self.low_v + (self.high_v - self.low_v) * pressure_pa / self.high_pa
 
     def pressure_pa(self, volts: float) -> float:
-        """Gauge pressure at a voltage [Pa].
-
-        Raises:
-            OffScaleError: further beyond the scale than the tolerance, or no number.
-        """
+        """Gauge pressure at a voltage [Pa]."""
         pressure_pa = (volts - self.low_v) / (self.high_v - self.low_v) * self.high_pa
         if not -self.tolerance_pa <= pressure_pa <= self.high_pa + self.tolerance_pa:
             raise OffScaleError(

@@ -1,4 +1,4 @@
-"""An object from a tactile sensor's reading to a finger that feels it rendered, and what each stage loses."""
+"""An object from a tactile reading to a finger that feels it rendered, with the loss of each stage."""
 
 from palpate.softness.transmission.judged_stages import CueNoise, StageJudgement, judged
 from palpate.softness.transmission.transmission_record import (
@@ -16,16 +16,6 @@ from palpate.softness.transmission.transmitted_cues import (
 )
 
 __all__ = [
-    "CueNoise",
-    "CueTransmission",
-    "StageJudgement",
-    "Transmission",
-    "felt_live",
-    "judged",
-    "object_file",
-    "order_kept",
-    "shared_peak_n",
-    "transmission_record",
-    "transmissions_record",
-    "transmit",
-]
+    "CueNoise", "CueTransmission", "StageJudgement", "Transmission", "felt_live", "judged", "object_file",
+    "order_kept", "shared_peak_n", "transmission_record", "transmissions_record", "transmit",
+]  # fmt: skip

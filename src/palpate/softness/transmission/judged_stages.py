@@ -1,14 +1,8 @@
-"""What of a difference in softness is left for a participant's judgement, stage by stage.
+"""Discriminability of objects at each stage of a transmission.
 
-An observer perceives the logarithm of each cue's chord with Gaussian noise, weighs the two by their
-reliabilities, 1 / variance, and ranks what it perceives (`psychophysics.rank_observer`). Its noise follows
-from the Weber fraction w of each cue, sigma = ln(1 + w) / 0.954, with which a difference of w is told right
-in 75 % of pairs: an assumption that a user replaces by their participants' own. Under one finger both cues of
-a flat tell the same ratio of softness; what the second one adds is a second look with noise of its own.
-The same observer judges the objects themselves, what was touched of them, and what is felt, so that what
-differs between stages is lost there and not in the observer. The reading's interval is carried by judging
-every draw, draws of different objects being independent: of readings that err together, as those of one
-session largely do, less is lost.
+An observer perceives the logarithm of each cue's chord with Gaussian noise and weights the cues by 1 /
+variance. A cue of Weber fraction w has sigma = ln(1 + w) / 0.954 (75 % of pairs). Draws of different objects
+are independent.
 """
 
 from __future__ import annotations
@@ -36,11 +30,8 @@ JND_SD = math.sqrt(2) * 0.6744897501960817  # d' of a pair that is told right in
 
 @dataclass(frozen=True, slots=True)
 class StageJudgement:
-    """How well objects are told apart at one stage.
-
-    Attributes:
-        pairs: probability of naming the softer one, by the pair's names.
-        total: expected share of right places in a ranking of all.
+    """Probability of naming the softer of each pair, and expected fraction of correct
+    positions in a ranking.
     """
 
     pairs: Mapping[tuple[str, str], float]
@@ -49,12 +40,7 @@ class StageJudgement:
 
 @dataclass(frozen=True, slots=True)
 class CueNoise:
-    """An observer's noise: Weber fractions of the two cues, as shares of the chord.
-
-    Attributes:
-        displacement, area: of what that cue alone tells right in 75 % of pairs, above 0; infinite for a cue
-            that is not perceived.
-    """
+    """Weber fraction of each cue (75 % of pairs correct); infinite for a cue that is not perceived."""
 
     displacement: float
     area: float
@@ -77,18 +63,7 @@ class CueNoise:
 
 
 def judged(transmissions: Sequence[Transmission], noise: CueNoise) -> dict[str, StageJudgement]:
-    """Judgements of objects at each stage.
-
-    Args:
-        transmissions: two or more; put in order by what they are, or else by what was read.
-        noise: of the observer.
-
-    Returns:
-        By stage; without ``true`` where an object is not known.
-
-    Raises:
-        InputError: fewer than two objects, or two of one name.
-    """
+    """Judge two or more objects at each stage; ``true`` is omitted if an object is unknown."""
     known = all(one.true_flat_pa is not None for one in transmissions)
     transmissions = sorted(
         transmissions,

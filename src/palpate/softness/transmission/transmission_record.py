@@ -1,4 +1,4 @@
-"""Transmissions in plain numbers, as objects' files, and live on the virtual bench."""
+"""Transmissions as plain values, as object files, and live on the virtual bench."""
 
 from __future__ import annotations
 
@@ -30,14 +30,7 @@ def transmissions_record(
     found: Sequence[Transmission], judgements: Mapping[str, StageJudgement], noise: CueNoise,
     finger: Fingertip, words: str,
 ) -> dict[str, Any]:  # fmt: skip
-    """Several transmissions to one finger, and their judgements, in plain numbers.
-
-    Args:
-        found: at one force.
-        judgements: of them, by stage.
-        noise: of the observer.
-        finger: on a rigid flat, and `words` that name it.
-    """
+    """Return several transmissions at one force, and their judgments, as plain values."""
     return {
         "simulated": SIMULATED, "finger": words, "peak_N": found[0].peak_n,
         "objects": [transmission_record(one, finger) for one in found],
@@ -106,15 +99,7 @@ def object_file(one: Transmission) -> str:
 
 
 def felt_live(one: Transmission, seconds: float) -> dict[str, Any]:
-    """Render an object live on the virtual bench, in a process of its own, while its finger presses.
-
-    Returns:
-        What the bench's own sensors say: periods, share of late ones, greatest force, and how far force is
-        from the object's at the displacement felt, as a share of the peak.
-
-    Raises:
-        SafetyError: the rendering ended by itself.
-    """
+    """Render an object live on the virtual bench in its own process; return timing and deviation."""
     if not 0 < seconds <= MAX_LIVE_S:
         raise RangeError(
             f"a live rendering of {seconds:g} s; above 0 and at most {MAX_LIVE_S:g} s are allowed"

@@ -1,20 +1,9 @@
-"""Softness from a touch to a percept: what a TacTip has read, a finger meets, and a display lets it feel.
+"""Softness from a tactile reading to what a finger feels.
 
-Four stages, each with what it loses:
-
-    object      its curves under a finger: force over displacement, and over contact area
-    touched     the same of the object as a TacTip has read it, with the reading's interval
-    felt        what the finger feels where the display and the arm render what was touched
-    judged      which of two a participant would call softer, of each stage (`psychophysics.rank_observer`)
-
-Each object is a thick flat, and it is mapped through the finger's own radius and modulus, never the TacTip's
-(`mechanics.fingertip_laws.on_flat`). A cue is a chord: force at the end of the press over displacement there,
-or over area. A rendering's is that of what it renders, times the least-squares factor of force felt over
-force due at the displacements (areas) that were felt, over the part of the press that can be rendered.
-
-Two things are not known: the reading, and how fast the finger will press, on which the display's error
-depends. Both are carried by draws. Of each draw the curves follow by a spline, and the display's factor by
-interpolation between renderings at quantiles of the reading and three frequencies.
+Stages: the object, the object as read, the object as rendered, and the judgment. Every object is a thick flat
+under the finger's own radius and modulus (`mechanics.fingertip_laws.on_flat`). A cue is a chord: force at the
+end of the press over displacement or area. Rendering multiplies it by the least-squares factor of felt over
+due force. Draws of the reading and of the press frequency carry the uncertainty.
 """
 
 from __future__ import annotations
@@ -53,12 +42,9 @@ class CueTransmission:
     """One cue along the stages, as chords [N/m of displacement, Pa of area].
 
     Attributes:
-        touched: of the object as read.
-        felt: of what the finger feels at the middle frequency.
-        way_in, way_out: factors of force felt over force due as the finger goes in, and as it comes back.
-        drawn: of what it would feel, by draws of the reading and of the frequency.
-        true, felt_true: of the object itself, and of what would be felt if it were rendered to a finger that
-            presses at a frequency of its own; None unknown.
+        way_in, way_out: factors of felt over due force, loading and unloading.
+        drawn: felt chords over draws of the reading and the frequency.
+        true, felt_true: chord of the object, and if it were rendered; None if unknown.
     """
 
     touched: float
@@ -104,18 +90,7 @@ class CueTransmission:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Transmission:
-    """An object along the stages.
-
-    Attributes:
-        name: of the object.
-        touched: as it was read.
-        peak_n: force at the end of a press [N].
-        cues: by name.
-        rendering: of the object as read.
-        object: the true one under the finger; None unknown.
-        inside: share of a press that the display can render as it is.
-        true_flat_pa: true modulus over 1 - nu^2; None unknown [Pa].
-    """
+    """An object along the stages; `object` and `true_flat_pa` are None if unknown."""
 
     name: str
     touched: TouchedFlat
@@ -134,11 +109,7 @@ class Transmission:
 
 
 def object_under(finger: Fingertip, flat_pa: float, peak_n: float, name: str = "flat") -> SoftObject:
-    """Both curves of a thick flat under a finger, to a force.
-
-    Raises:
-        RangeError: a force beyond what is known of the finger there.
-    """
+    """Both curves of a thick flat under a finger, to a force."""
     return fingertip_object(name, on_flat(finger, flat_pa), peak_n)
 
 
@@ -159,22 +130,12 @@ def transmit(
     name: str, touched: TouchedFlat, finger: Fingertip, *, peak_n: float, true_flat_pa: float | None = None,
     frequency_hz: float = 1.0, seed: int = 0, draws: int = DRAWS, progress: Progress = silent,
 ) -> Transmission:  # fmt: skip
-    """Render an object that was touched, and say what of it reaches the finger.
+    """Render an object as read, and return what reaches the finger.
 
     Args:
-        name: of the object.
-        touched: as it was read.
-        finger: that feels it, on a rigid flat.
-        peak_n: force at the end of a press, alike for all objects that are compared [N].
-        true_flat_pa: its true modulus over 1 - nu^2, where it is known [Pa].
-        frequency_hz: at which the virtual finger presses, or up to 2.2 times slower or faster [Hz].
-        seed: of the reading's draws and the bench's noise.
-        draws: of the reading.
-        progress: called with how many renderings are done.
-
-    Raises:
-        RangeError: a force beyond what is known of the finger, or an object that the display cannot render.
-        InputError: too few draws.
+        peak_n: force at the end of a press, equal for all compared objects [N].
+        true_flat_pa: true modulus over 1 - nu^2, if known [Pa].
+        frequency_hz: median press frequency; draws span a factor of 2.2 to either side [Hz].
     """
     if not MIN_PEAK_N <= peak_n < np.inf:
         raise RangeError(
@@ -237,17 +198,8 @@ def modulus_of_chord(finger: Fingertip, chord: float, peak_n: float, cue: str) -
 
 
 def felt_factor(felt: Rendering, cue: str, way: int = 0) -> float:
-    """Least-squares factor of the force felt over the force due at the displacements or areas felt.
-
-    Over the part of the presses that can be rendered as it is.
-
-    Args:
-        felt: presses.
-        cue: ``displacement`` or ``area``.
-        way: 1 for the way in alone, -1 for the way back, 0 for both.
-
-    Raises:
-        RangeError: that is too little of them.
+    """Return the least-squares factor of felt over due force, where rendered; `way` 1 loading, -1 unloading,
+    0 both.
     """
     inside = felt.inside
     if inside.sum() < MIN_INSIDE * felt.scored.sum():

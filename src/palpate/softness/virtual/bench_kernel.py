@@ -67,9 +67,8 @@ class BenchFigures(NamedTuple):
 
 
 def creep(friction: float, mass: float, dt: float) -> float:
-    """Speed over which a friction [N] turns round on a mass [kg], stable in steps of `dt` [s], in [m/s].
-
-    An explicit step of friction f over a speed v diverges where dt f / (v m) is beyond 2; it is kept to 1.25.
+    """Return the smoothing speed [m/s] of a Coulomb friction, stable for explicit steps of `dt` (dt f / (v m)
+    <= 1.25).
     """
     return max(CREEP, 0.8 * dt * friction / mass)
 
@@ -140,19 +139,10 @@ def display_force(state, par, areas):
 @numba.njit(cache=True)
 @no_type_check
 def advance(state, par, areas, volumes, meant, meant_speed, opening, force, dt):
-    """Carry a state on, in place, through as many steps as the finger's places have.
-
-    Args:
-        state: `STATES` values [SI], pressure absolute.
-        par: `BenchFigures`.
-        areas, volumes: of the display at equal steps of push from 0 to its height [m^2], [m^3].
-        meant, meant_speed: where the finger is meant to be at each step [m], [m/s].
-        opening: asked of the valve, -1 to 1.
-        force: asked of the arm [N].
-        dt: of a step [s].
+    """Advance `state` (SI, absolute pressure) in place, one step per element of `meant`.
 
     Returns:
-        Work that the finger did on the display [J], and the pulp's greatest force [N].
+        Work of the finger on the display [J], and the greatest pulp force [N].
     """
     work, largest = 0.0, 0.0
     for k in range(meant.size):

@@ -1,4 +1,4 @@
-"""The virtual bench as a bench test has it: a stiff flat probe, and the display clamped where the arm was."""
+"""The virtual bench with a stiff flat probe and the display clamped in place of the arm."""
 
 from __future__ import annotations
 
@@ -41,16 +41,7 @@ def virtual_bench_test(
     plan: IndentationPlan | None = None, parts: BenchParts | None = None, *,
     stated: ConeDisplay | None = None, seed: int = 0, progress: Progress = silent,
 ) -> BenchTest:  # fmt: skip
-    """Run a plan on the virtual bench at accelerated time.
-
-    Args:
-        plan: by default the default plan.
-        parts: as they truly are; arm and finger give way to a clamp and a probe.
-        stated: what the display is believed to be; by default a cone of the true shape's size, with the
-            chamber's sleeve.
-        seed: of the sensors' noise.
-        progress: called with each pressure.
-    """
+    """Run a plan on the virtual bench in accelerated time; `stated` is the assumed display."""
     parts = parts or BenchParts()
     probe, clock = HeldProbe(), ManualClock()
     bench = RenderingBench(clock, probe, replace(parts, arm=CLAMPED, finger=PROBE, plate=False), seed=seed)
@@ -64,14 +55,7 @@ def virtual_bench_test(
 def virtual_pressure_response(
     servo: PressureServo, amplitude_pa: float, parts: BenchParts | None = None, *, seed: int = 0
 ) -> PressureResponse:
-    """How fast a servo's pressure follows on the virtual bench, tip held half way, at accelerated time.
-
-    Args:
-        servo: of the valve.
-        amplitude_pa: of the sines [Pa].
-        parts: as they truly are; arm and finger give way to a clamp and a probe.
-        seed: of the sensors' noise.
-    """
+    """Measure a servo's pressure response on the virtual bench, with the tip held halfway."""
     parts = parts or BenchParts()
     probe, clock = HeldProbe(), ManualClock()
     probe.move(parts.shape.height_m / 2)

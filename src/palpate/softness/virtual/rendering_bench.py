@@ -1,9 +1,7 @@
-"""Bench of a display on an arm under a finger, behind the protocols of both devices.
+"""Virtual bench of a display on an arm under a finger, behind the protocols of both devices.
 
-The bench follows its clock: whenever a device is asked or told something, the physics is carried on to now.
-With a `ManualClock` it runs as fast as it is computed, with a `MonotonicClock` in real time. Each device
-makes itself safe where nobody told it anything for its watchdog's time, at that very instant of the bench's
-time, whatever became of the program.
+Each call advances the physics to the clock's time: accelerated with a `ManualClock`, in real time with a
+`MonotonicClock`. Each device makes itself safe at the exact time at which its watchdog expires.
 """
 
 from __future__ import annotations
@@ -52,15 +50,7 @@ MAX_S = 5.0  # that the bench carries on at once; a program that slept longer fi
 
 @dataclass(frozen=True, slots=True)
 class BenchParts:
-    """What a bench is made of, as it truly is.
-
-    Attributes:
-        shape, valve, chamber, sensors: of the display.
-        arm: that carries it.
-        finger: that presses.
-        greatest_pa: gauge pressure that the display states [Pa].
-        plate: whether a rigid plate is in the display's place, as CM2 has it.
-    """
+    """True parts of a bench; `plate` replaces the display, as in CM2."""
 
     shape: ConeDisplay = field(default_factory=ConeDisplay)
     valve: ProportionalValve = field(default_factory=ProportionalValve)
@@ -74,19 +64,7 @@ class BenchParts:
 
 @dataclass(frozen=True, slots=True)
 class BenchTruth:
-    """State of a bench, which no sensor sees so.
-
-    Attributes:
-        time_s: since it began [s].
-        force_n: between finger and display [N].
-        pushed_m, area_m2: of the display's tip.
-        arm_m: displacement of the arm [m].
-        pressure_pa: gauge pressure [Pa].
-        opening: of the valve's spool.
-        finger_m: where the finger is [m].
-        work_j: that the finger did on the display so far [J].
-        largest_n: greatest force of all steps so far [N].
-    """
+    """True state of a bench, cumulative work, and greatest force so far."""
 
     time_s: float
     force_n: float
@@ -106,19 +84,7 @@ class BenchTruth:
 
 
 class RenderingBench:
-    """A virtual bench.
-
-    Args:
-        clock: that it follows.
-        presses: of the finger, or of a probe.
-        parts: of which it is made.
-        servo: of the display's pressure; by default one that believes the default parts.
-        seed: of the sensors' noise.
-        watchdog_s: of both devices [s].
-
-    Attributes:
-        display, arm: the two devices.
-    """
+    """A virtual bench with its `display` and `arm`."""
 
     def __init__(
         self, clock: Clock, presses: MeantMotion, parts: BenchParts | None = None,

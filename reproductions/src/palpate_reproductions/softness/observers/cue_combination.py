@@ -31,9 +31,6 @@ def combined_sensitivity(kinesthetic: float, cutaneous: float, correlation: floa
         kinesthetic, cutaneous: d' of either alone, 0 or more.
         correlation: of their noises, above -1 and below 1.
 
-    Raises:
-        RangeError: out of these.
-
     Example:
         >>> combined_sensitivity(3.0, 4.0)
         5.0
@@ -56,9 +53,6 @@ def correlation_needed(kinesthetic: float, cutaneous: float, integrated: float) 
 
     Returns:
         The correlation; None where no correlation makes so little: two cues are never worse than the better.
-
-    Raises:
-        RangeError: one that is not above 0.
     """
     k, c, i = kinesthetic, cutaneous, integrated
     if min(k, c, i) <= 0:
@@ -88,12 +82,7 @@ def combined_observer(
 
     Args:
         kinesthetic, cutaneous: observers of either cue, both of places that rise.
-        correlation: of the two cues' noises.
-        lapse, reversal: of the observer of both.
         gains: how much more stimuli differ in each cue than they did when it was alone.
-
-    Raises:
-        RangeError: places that fall, or a correlation out of range.
     """
     steps = [
         [gain * (b - a) for a, b in zip(one.places[:-1], one.places[1:], strict=True)]

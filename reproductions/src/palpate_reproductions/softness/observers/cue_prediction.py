@@ -40,10 +40,7 @@ class CuePrediction:
     """What one kind of observer predicts of the integrated condition.
 
     Attributes:
-        observer: that of both cues.
-        accuracy: its expected total accuracy.
         low, high: 95 % interval of the total accuracy of so many rankings, fits' uncertainty included.
-        observed: total accuracy of I's matrix.
         p: two-sided share of simulated studies as far from the median as what was observed.
     """
 
@@ -61,11 +58,8 @@ class CueNeeds:
 
     Attributes:
         sensitivities: d' of neighbours in K, C and I, by total accuracy.
-        sensitivity_intervals: 95 % of each.
         correlation: of the cues' noises, None where none makes so little.
-        correlation_interval: 95 %.
         gain: by which stimuli would have to differ more in both cues than in K and in C.
-        gain_interval: 95 %.
     """
 
     sensitivities: tuple[float, float, float]
@@ -86,10 +80,7 @@ def predict_by_accuracy(
     Args:
         kinesthetic, cutaneous: matrices that it is fitted to.
         integrated: matrix that it is tested on.
-        rng: of simulated studies.
-        correlation: of the cues' noises.
         gains: how much more stimuli differ in each cue in I than in K and C.
-        studies: simulated ones.
         independent: rankings of each matrix that count as independent; all of them unless given. As many as
             there are people is the worst case, each person's rankings alike.
     """
@@ -116,7 +107,6 @@ def predict_with_faults(
     """Prediction of observers with lapses or reversals in K and C, by likelihood.
 
     Args:
-        kinesthetic, cutaneous: fits.
         integrated: matrix that it is tested on.
         rng: of simulated studies, one for each that the fits have drawn.
         faults_in_both: whether I has the mean of their faults; else it has none.
@@ -207,9 +197,7 @@ def tested_prediction(
     """An observer's prediction, its interval and p from simulated studies' total accuracies.
 
     Args:
-        observer: of both cues.
         drawn: total accuracy of I in each simulated study.
-        integrated: matrix of I.
     """
     seen = integrated.total_accuracy
     tails = [(1 + (drawn <= seen + 1e-9).sum()), (1 + (drawn >= seen - 1e-9).sum())]

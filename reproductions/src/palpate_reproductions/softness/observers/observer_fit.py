@@ -39,9 +39,6 @@ class ObserverFit:
     """An observer fitted to a matrix.
 
     Attributes:
-        observer: of evenly spaced stimuli.
-        sensitivity: its d' of neighbours.
-        log_likelihood: composite, less the multinomial coefficients.
         deviance: twice what a matrix of the observed shares would have more.
         deviance_p: share of simulated matrices that fit as badly; small where the observer is wrong.
         drawn: sensitivity, lapse and reversal fitted to each simulated matrix.
@@ -66,10 +63,6 @@ def sensitivity_at(total_accuracy: float, stimuli: int = 5) -> float:
 
     Args:
         total_accuracy: share of right places, above 1 / stimuli and below 1.
-        stimuli: number of them.
-
-    Raises:
-        RangeError: a share that chance or certainty alone gives.
     """
     if not 1 / stimuli < total_accuracy < 1:
         raise RangeError(
@@ -97,10 +90,7 @@ def fit_observer(
     """The evenly spaced observer of greatest composite likelihood, on a grid of 0.1 in d' and 0.02 in shares.
 
     Args:
-        confusion: matrix of rankings.
-        rng: of simulated rankings.
         lapses, reversals: whether the observer may have them.
-        draws: simulated matrices.
     """
     table = _table(len(confusion.names), lapses, reversals)
     at, best = _fitted(confusion.counts[None], table)
@@ -128,9 +118,6 @@ def fit_shared_spacing(
     """Observers of two cues of one softness, the stimuli's spacing free and common to both.
 
     Each cue has its own noise and its own lapses. Spacings rise.
-
-    Args:
-        kinesthetic, cutaneous: matrices of the same stimuli.
     """
     m = len(kinesthetic.names)
     counts = np.stack([kinesthetic.counts, cutaneous.counts])

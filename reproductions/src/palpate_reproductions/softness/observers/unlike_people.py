@@ -45,10 +45,6 @@ def predict_of_unlike_people(
         skills: correlation of the two cues' ln d' over people; -1 where who is good at one is bad at the
             other.
         people: number of them, of as many rankings each.
-        studies: simulated ones.
-
-    Raises:
-        RangeError: a scatter below 0, a correlation outside -1 to 1, or people of rankings not as many.
     """
     if log_scatter < 0 or abs(skills) > 1 or people < 1 or integrated.rankings % people:
         raise RangeError(

@@ -1,7 +1,7 @@
 """Record on the virtual rig for half an hour, as fast as it goes, and draw what memory the process takes.
 
-    python tools/recording_memory.py                          # 30 minutes, into docs/images
-    python tools/recording_memory.py --minutes 7 --out /tmp   # shorter, elsewhere
+    python benchmarks/recordings/recording_memory.py                          # 30 minutes, into docs/images
+    python benchmarks/recordings/recording_memory.py --minutes 7 --out /tmp   # shorter, elsewhere
 
 The plan is far longer than that; the recording is stopped when the time is over, read again and thrown away.
 Frames are tiny, so that there are many: what grows, grows by the frame, the shot or the force sample, and not
@@ -28,7 +28,7 @@ from palpate.rig.virtual import virtual_rig
 from palpate.sensors import palm
 from palpate.sensors.palm.palm_sensor import Palm
 
-IMAGES = Path(__file__).resolve().parents[1] / "docs" / "images"
+IMAGES = Path(__file__).resolve().parents[2] / "docs" / "images"
 EVERY_S = 5.0
 SETTLED_MIN = 5.0  # until then what is built once is being built
 ALLOWED = 0.05

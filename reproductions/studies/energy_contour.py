@@ -49,14 +49,9 @@ class Contour:
     """A contour on one specimen, at forces; NaN where the skin has no such contour.
 
     Attributes:
-        kappa_n_m: of the specimen [N/m].
-        level: of strain energy density [J/m^3]; "half" of the greatest at each force, its "peak", or
-            the true edge of the "contact", which is no contour of energy but what (3) is meant to follow.
-        flank: of the wall.
+        level: of strain energy density [J/m^3]; "half" of the greatest at each force, its "peak", or the true
+            edge of the "contact", which is no contour of energy but what (3) is meant to follow.
         view: of the skin's places, or of their pins' markers in the image.
-        force_n: forces [N].
-        area_m2: inside the contour [m^2].
-        growth_m2_n: of that area, dA_L/dF [m^2/N].
         flux_m2_n: of the motion through the contour: the integral of its divergence inside [m^2/N].
         contact_m2, casr_m2_n: true contact area, and its dA/dF.
     """

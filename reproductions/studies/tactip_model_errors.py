@@ -42,12 +42,7 @@ METHODS = ("horn-schunck", "coarse-to-fine", "dis", "tracked")
 
 @dataclass(frozen=True)
 class DivergenceShare:
-    """Accumulated divergence by a method over that of the true markers.
-
-    Attributes:
-        pins: how many there are.
-        mean, spread: over trials.
-    """
+    """Accumulated divergence by a method over that of the true markers."""
 
     pins: int
     kappa_n_m: float
@@ -87,7 +82,6 @@ class PressTruth:
     """One specimen at forces, by finite strain; SI.
 
     Attributes:
-        casr_m2_n: dA/dF.
         divergence: of the true markers over the region, accumulated from 0.5 N to each force.
     """
 
@@ -219,7 +213,6 @@ class PeakMotion:
     Attributes:
         peak_rad: polar angle on the skin's inside of the pin that has, among those within the field; NaN
             where it is the outermost, so that there is no ring [rad].
-        edge_rad: of the contact's edge [rad].
         moved_px: how far that pin has moved outwards; the farthest of all where there is no ring [px].
     """
 

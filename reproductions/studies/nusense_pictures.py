@@ -1,6 +1,6 @@
 """Pictures of NUSense for its explanation: frames, and how far the tiles move.
 
-Run ``python tools/nusense_pictures.py docs/images``; it writes both as PNG.
+Run ``python reproductions/studies/nusense_pictures.py docs/images``; it writes both as PNG.
 """
 
 from __future__ import annotations

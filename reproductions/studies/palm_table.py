@@ -1,7 +1,7 @@
 """The headline of several studies of the palm, of one seed each, as a table for the documentation.
 
     palpate reproduce palm --scale small --part headline --seed 1 --out s1     # and 2, 3
-    python tools/palm_table.py s1 s2 s3
+    python reproductions/studies/palm_table.py s1 s2 s3
 
 Each cell is the mean over the seeds, with the least and the greatest.
 """

@@ -8,7 +8,7 @@ interpreter with what is measured; it notes when each byte came, on the computer
 time includes the way over the pseudo-terminal and the waking of its reader, and no serial line or firmware.
 What the stage runs on after the byte is told apart: there it is the fake's, not a real one's.
 
-Usage: python tools/stop_latency.py --stops 500 --busy 4 --out stops.json
+Usage: python benchmarks/rig/stop_latency.py --stops 500 --busy 4 --out stops.json
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from palpate.devices.operator_control import OperatorCommand, OperatorInterrupt
 from palpate.rig.real.grbl.grbl_stage import GrblStage
 from palpate.rig.real.grbl.grbl_supervisor import GrblSpec
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from tests.fakes.grbl_firmware import GrblFirmware
 from tests.fakes.grbl_parameters import GrblFaults, GrblParameters

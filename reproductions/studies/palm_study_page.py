@@ -1,8 +1,8 @@
 """The tables of the page on the palm's study, made from what the study found, so that the two cannot differ.
 
     palpate reproduce palm --scale small --seed 0 --out study
-    python tools/palm_study_page.py --take study     # figures of a study, whole or not, into the page's data
-    python tools/palm_study_page.py --write          # the page's tables from the data
+    python reproductions/studies/palm_study_page.py --take study  # figures of a study into the page data
+    python reproductions/studies/palm_study_page.py --write       # tables of the page from the data
 
 The page asks for a table by a pair of comments, `<!-- study: conditions -->` before it and `<!-- end -->`
 after it. What a study has not made is not in the data, and its rows are not in the tables.
@@ -38,7 +38,7 @@ from palpate_reproductions.palm.palm_conditions import (
 from palpate_reproductions.palm.palm_published import MAE, R2
 from palpate_reproductions.palm.palm_setup import MODELS, NETWORKS, pressed_rows
 
-EXPLANATIONS = Path(__file__).resolve().parents[1] / "docs" / "explanations"
+EXPLANATIONS = Path(__file__).resolve().parents[2] / "docs" / "explanations"
 PAGE, DATA = EXPLANATIONS / "palm-study.md", EXPLANATIONS / "palm-study.json"
 BLOCK = re.compile(r"<!-- study: ([\w-]+) -->\n(.*?)<!-- end -->", re.DOTALL)
 LEFT_OUT = ("points", "audit", "options", "calibration", "frame")

@@ -1,8 +1,8 @@
 """Make the tables of docs/explanations/tactip.md anew, as Markdown; five minutes of one core.
 
-    python tools/tactip_tables.py                    # every table, and the numbers of the text under it
-    python tools/tactip_tables.py --only flow        # one part
-    python tools/tactip_tables.py --preset 331-fitted  # of the tip with lever and camera fitted to real taps
+    python reproductions/studies/tactip_tables.py                      # every table of the page
+    python reproductions/studies/tactip_tables.py --only flow          # one part
+    python reproductions/studies/tactip_tables.py --preset 331-fitted  # lever and camera fitted to real taps
 
 Four numbers in a row are S1 / Snew / S2 / S3, stiffest first.
 """
@@ -14,8 +14,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
 
 import numpy as np
-from tactip.energy_contour import Contour, contours
-from tactip.tactip_model_errors import (
+from energy_contour import Contour, contours
+from tactip_model_errors import (
     METHODS,
     LinearModelError,
     areas_by_friction,
@@ -30,13 +30,7 @@ from tactip.tactip_model_errors import (
 
 from palpate.rig.virtual.linear_rig import LINEAR_RIG
 from palpate.sensors.tactip import PINS_331, TacTipSpec, fitted_tactip
-from palpate_reproductions.tactip.tactip_conditions import (
-    AS_IS,
-    KAPPA_N_M,
-    Row,
-    compared,
-    order,
-)
+from palpate_reproductions.tactip.tactip_conditions import AS_IS, KAPPA_N_M, Row, compared, order
 from palpate_reproductions.tactip.tactip_setup import KAPPA, under_plate
 
 SHOWN_N = (1.0, 3.0, 5.0)
@@ -119,10 +113,7 @@ def flow(preset: str) -> Iterator[str]:
                 max(row.spread) * scale for row, scale in ((divergence, 1), (regression, MM2), (paper, MM2))
             )
             yield line("its spread over trials, at most", *(f"{size:.1g}" for size in sizes))
-    secant, steps = (
-        rows[AS_IS, "truth", "contact", "secant"],
-        rows[AS_IS, "camera", "", "steps"],
-    )
+    secant, steps = (rows[AS_IS, "truth", "contact", "secant"], rows[AS_IS, "camera", "", "steps"])
     yield line("true area", "", f"{cell(secant, MM2)}, secant", f"frames: {four(steps.mean)}")
     for name in FLOW[1:]:
         yield f"whole image, {name}: {cell(rows[name, 'flow', 'whole', 'divergence'])}"
