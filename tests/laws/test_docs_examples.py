@@ -252,30 +252,3 @@ def test_new_paths_in_the_changelog_are_there() -> None:
     assert new, "the table from old to new import paths is there"
     assert not sorted(dotted for dotted in new if missing(dotted))
     assert not sorted(dotted for dotted in old if not missing(dotted))
-
-
-def rows_of_words() -> list[list[str]]:
-    """Cells of every row of the tables on the page of words."""
-    lines = PAGES["docs/explanations/words.md"].splitlines()
-    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if line.startswith("|")]
-    return [row for row in rows if row[0] not in ("word", "---")]
-
-
-def test_classes_and_modules_on_the_page_of_words_are_there() -> None:
-    text = "\n".join(path.read_text(encoding="utf-8") for path in MODULES)
-    classes = set(re.findall(r"^class (\w+)", text, re.MULTILINE))
-    places = {path.stem for path in MODULES} | {path.parent.name for path in MODULES}
-    named = {code for _, meaning, _ in rows_of_words() for code in INLINE.findall(meaning)}
-    assert named
-    assert not sorted(named - classes - places)
-
-
-def test_no_module_is_called_what_only_older_files_say() -> None:
-    words = {word.strip() for row in rows_of_words() for word in re.split("[,:;]", row[2])}
-    modules = {path.stem for path in MODULES}
-    assert not sorted({word.replace(" ", "_") for word in words} & modules - {""})
-
-
-def test_a_word_stands_in_one_row() -> None:
-    words = [word.strip() for row in rows_of_words() for word in row[0].split(",")]
-    assert sorted(words) == sorted(set(words))
