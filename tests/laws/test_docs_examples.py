@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.cli.walked_commands import commands
 from typer.main import get_command
 
 from palpate.cli import app
@@ -26,7 +27,6 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 SOURCE = REPOSITORY / "src" / "palpate"
 REPRODUCTIONS = REPOSITORY / "reproductions" / "src" / "palpate_reproductions"
 PACKAGES = {SOURCE.name, REPRODUCTIONS.name}
-MODULES = [path for package in (SOURCE, REPRODUCTIONS) for path in package.rglob("*.py")]
 PAGES = {
     path.relative_to(REPOSITORY).as_posix(): path.read_text(encoding="utf-8")
     for path in (
@@ -252,3 +252,10 @@ def test_new_paths_in_the_changelog_are_there() -> None:
     assert new, "the table from old to new import paths is there"
     assert not sorted(dotted for dotted in new if missing(dotted))
     assert not sorted(dotted for dotted in old if not missing(dotted))
+
+
+def test_the_examples_in_the_help_of_each_command_are_of_the_program() -> None:
+    helps = [" ".join((one.help or "").split()) for _, one in commands(PROGRAM)]
+    examples = [line for text in helps for line in re.findall(r"Example: palpate (.+?)(?= Example:|$)", text)]
+    assert len(examples) > 60
+    assert not {line: fault for line in examples if (fault := fault_of_line(line))}

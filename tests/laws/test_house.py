@@ -10,6 +10,7 @@ import sys
 import tomllib
 import types
 from collections import Counter
+from functools import cache
 from pathlib import Path
 
 import jaxtyping
@@ -33,6 +34,11 @@ ROOMS = [name for name, path in MODULES.items() if path.name == "__init__.py"]
 
 # Only what trains may need torch; everything else runs where it is not installed.
 NEEDS_TORCH = ("palpate.estimators.networks", "palpate.sensors.palm.networks")
+
+
+@cache
+def trees() -> dict[str, ast.Module]:
+    return {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in MODULES.items()}
 
 
 def run_python(code: str, folder: Path) -> str:
@@ -78,7 +84,7 @@ def test_every_package_offers_exactly_its_public_names() -> None:
         assert len(names) == len(set(names)), room
         assert not [name for name in names if not hasattr(module, name)], room
         assert not [name for name in names if isinstance(getattr(module, name), types.ModuleType)], room
-        assert public_names(ast.parse(MODULES[room].read_text(encoding="utf-8")), room) <= set(names), room
+        assert public_names(trees()[room], room) <= set(names), room
 
 
 def public_names(tree: ast.Module, package: str) -> set[str]:
@@ -99,8 +105,7 @@ def public_names(tree: ast.Module, package: str) -> set[str]:
 
 
 def test_no_two_classes_and_no_two_modules_share_a_name() -> None:
-    trees = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in MODULES.items()}
-    classes = [n.name for tree in trees.values() for n in ast.walk(tree) if isinstance(n, ast.ClassDef)]
+    classes = [n.name for tree in trees().values() for n in ast.walk(tree) if isinstance(n, ast.ClassDef)]
     modules = [path.stem for path in MODULES.values() if path.stem not in ("__init__", "__main__")]
     assert not [name for names in (classes, modules) for name, n in Counter(names).items() if n > 1]
 
@@ -151,7 +156,7 @@ for name in {list(MODULES)}:
 
 
 def test_no_module_pickles() -> None:
-    found = {name: pickling(ast.parse(path.read_text(encoding="utf-8"))) for name, path in MODULES.items()}
+    found = {name: pickling(tree) for name, tree in trees().items()}
     assert found
     assert {name: calls for name, calls in found.items() if calls} == {}
 
