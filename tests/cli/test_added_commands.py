@@ -86,14 +86,6 @@ def test_a_broken_command_is_one_line_with_a_code_and_leaves_the_help_whole(
     assert "\n  wave " in CliRunner().invoke(app, ["--help"]).output
 
 
-def test_a_broken_command_is_not_offered_by_a_completing_shell(install: Install) -> None:
-    install("wave", "stranger:app", "raise ValueError")
-    typed = {"_PALPATE_COMPLETE": "complete_bash", "COMP_WORDS": "palpate w", "COMP_CWORD": "1"}
-    result = CliRunner().invoke(app, [], prog_name="palpate", env=typed)
-    assert "wave" not in result.output
-    assert not isinstance(result.exception, ValueError)
-
-
 def test_two_packages_with_one_command_are_refused(install: Install) -> None:
     install("wave", "stranger:app", GROUP)
     install("wave", "another:app", GROUP, package="another")

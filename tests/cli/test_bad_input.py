@@ -14,8 +14,6 @@ from typer.testing import CliRunner
 
 from palpate import CalibrationPlan, Manifest, calibrate
 from palpate.cli import app
-from palpate.core import ImageError
-from palpate.sensing.frame_sources import open_source
 from palpate.version import __version__, needed_version
 
 DEVICES = """
@@ -123,11 +121,6 @@ def test_a_plug_in_that_ends_the_process_is_told_and_no_success(monkeypatch: pyt
     assert "a plug-in ended it: SystemExit: 0, from " in refusal("record", "--out", "nowhere")
 
 
-def test_a_path_that_is_not_there_is_told_as_one_for_runs_and_images(tmp_path: Path) -> None:
-    with pytest.raises(ImageError, match="is not there; give an image, a folder of images, a run or a video"):
-        open_source(tmp_path / "run")
-
-
 OWN = {"stage": "their_devices:Stage", "force": "their_devices:Force", "camera": "their_devices:Camera"}
 
 
@@ -135,16 +128,8 @@ OWN = {"stage": "their_devices:Stage", "force": "their_devices:Force", "camera":
 @pytest.mark.parametrize(
     ("role", "kind", "message"),
     [
-        (
-            "stage",
-            "their_nowhere:Stage",
-            "does not import: ModuleNotFoundError: No module named",
-        ),
-        (
-            "stage",
-            "their_devices:Gantry",
-            "does not import: AttributeError: module 'their_devices'",
-        ),
+        ("stage", "their_nowhere:Stage", "does not import: ModuleNotFoundError: No module named"),
+        ("stage", "their_devices:Gantry", "does not import: AttributeError: module 'their_devices'"),
         ("force", "their_crash:Force", "does not import: OSError: no driver on this machine"),
         ("camera", "their_exit:Camera", "does not import"),
         ("stage", "their_devices:RunawayStage", 'methods": it lacks stop'),
@@ -199,12 +184,6 @@ def test_a_broken_sensor_is_refused_by_its_name_and_law(folder: Path, sensor: st
     assert message in line
 
 
-def test_a_sensor_that_takes_an_existing_name_is_refused(folder: Path) -> None:
-    lay_package(folder, "their_package", "palpate.sensors", "palm", "their_sensors:Bare")
-    line = refusal("record", "--out", folder / "run", "--rig", "virtual:palm")
-    assert "a name stands for one sensor" in line
-
-
 @pytest.mark.parametrize(
     ("option", "name", "message"),
     [
@@ -224,19 +203,6 @@ def test_a_broken_model_or_split_is_refused_by_its_name(
     assert name in line
     assert message in line
     assert not (folder / "cal").exists()
-
-
-@pytest.mark.parametrize(
-    ("group", "name", "option"),
-    [("palpate.models", "pca-ridge", "--model"), ("palpate.splits", "auto", "--split")],
-)
-def test_a_model_or_split_that_takes_an_existing_name_is_refused(
-    folder: Path, record_spots, group: str, name: str, option: str
-) -> None:
-    lay_package(folder, "their_package", group, name, "their_models:Half")
-    run = record_spots("run", 10)
-    line = refusal("calibrate", run.path, "--targets", "x_mm", option, name, "--out", folder / "cal")
-    assert f"{name!r} of their_models:Half takes the name of palpate" in line
 
 
 NEWER = {

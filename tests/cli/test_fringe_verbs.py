@@ -129,10 +129,3 @@ def test_a_mistake_is_one_line_and_status_2(pictures, words, said):
     err = optics("fringe-order", pictures / "a.png", *words, status=2).stderr
     assert said in err
     assert len(err.splitlines()) == 1
-
-
-def test_help_shows_units_and_an_example():
-    for verb in ("fringe-order", "colour-table"):
-        said = optics(verb, "--help").stdout
-        assert f"Example: palpate optics {verb}" in said
-        assert "[px]" in said

@@ -246,14 +246,6 @@ def test_as_many_frames_as_were_asked_for_are_told_kept_and_summed_up(spots, tmp
         assert len(Run.open(tmp_path / f"kept-{k}")) == 6
 
 
-def test_lines_are_printed_where_no_line_can_be_redrawn_and_a_summary_at_the_end(spots) -> None:
-    calibration, _, video = spots
-    result = typed("live", calibration, "--camera", video)
-    assert "x " in result.stdout
-    assert "12 frames, 0 dropped, 0 lost" in result.stderr
-    assert typed("live", calibration, "--camera", video, "--quiet").stdout == ""
-
-
 def test_what_cannot_be_opened_is_one_line(tmp_path) -> None:
     for words, why in (
         (("--camera", tmp_path / "none.avi"), "is not there"),
@@ -314,7 +306,9 @@ def started(words: list[str], **options) -> subprocess.Popen:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a process is told to end by POSIX signals")
-@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+@pytest.mark.parametrize(
+    "name", ["SIGINT", *(pytest.param(name, marks=pytest.mark.slow) for name in ("SIGTERM", "SIGHUP"))]
+)
 def test_who_ends_it_leaves_run_and_log_whole(spots, tmp_path, name) -> None:
     _, run, _ = spots
     images = b"".join(encode(frame.image).tobytes() for frame in run.frames())
@@ -336,14 +330,6 @@ def test_who_ends_it_leaves_run_and_log_whole(spots, tmp_path, name) -> None:
     assert b"12 frames" in said
 
 
-@pytest.mark.slow
-def test_a_source_that_ends_without_a_frame_is_no_success() -> None:
-    with started(["--camera", "-"], stdin=subprocess.DEVNULL) as process:
-        _, said = process.communicate(timeout=30)
-    assert process.returncode == 2
-    assert b"ended without a frame" in said
-
-
 def test_a_folder_of_which_no_image_can_be_read_is_no_success_and_the_reason_is_told(tmp_path) -> None:
     for k in range(2):
         cv2.imwrite(str(tmp_path / f"{k}.png"), np.full((6, 8), 40_000, np.uint16))
@@ -353,31 +339,6 @@ def test_a_folder_of_which_no_image_can_be_read_is_no_success_and_the_reason_is_
     cv2.imwrite(str(tmp_path / "2.png"), np.full((6, 8), 90, np.uint8))
     said = typed("live", "--camera", tmp_path, "--wait", "0.4").output
     assert "3 frames, 0 dropped, 0 lost, 2 broken" in said
-
-
-def test_what_to_do_is_told_of_an_empty_folder_and_of_a_file_that_is_no_image(tmp_path) -> None:
-    said = typed("live", "--camera", tmp_path, "--wait", "0.2", status=2).stderr
-    assert "nothing was read: put images (.bmp, " in said
-    assert f"into {tmp_path}" in said
-    assert "or name a folder of images or a run" in said
-    text = tmp_path / "notes.txt"
-    text.write_text("no image\n")
-    said = typed("live", "--camera", text, status=2).stderr
-    assert "save it as PNG, give another file" in said
-    assert "out of the folder" not in said
-
-
-def test_a_size_that_is_none_is_refused_with_one_that_is() -> None:
-    assert "as in 640x480 or 640,480" in typed("live", "--camera", "0", "--size", "640", status=2).output
-
-
-def test_a_closed_pipe_ends_it_without_a_trace(spots) -> None:
-    words = ["--camera", str(spots[2]), "--paced", "--json"]
-    with started(words, stdin=subprocess.DEVNULL) as process:
-        process.stdout.readline()
-        process.stdout.close()
-        process.wait(timeout=30)
-        assert b"Traceback" not in process.stderr.read()
 
 
 def test_a_live_run_in_python_starts_when_it_is_first_asked(spots) -> None:
@@ -397,16 +358,11 @@ def test_an_end_that_never_comes_is_refused(option, value) -> None:
     assert "Traceback" not in said
 
 
-def test_an_empty_address_is_not_the_folder_in_which_one_stands(spots) -> None:
-    assert "address of a camera is empty" in typed("live", "--camera", "", status=2).output
-
-
 @pytest.mark.parametrize("words", [(), ("--json",)])
 @pytest.mark.cases(1)
 def test_a_reader_that_goes_as_head_does_ends_it_without_a_word(
     words: tuple[str, ...], tmp_path: Path
 ) -> None:
-    """With the status of a program that the closed pipe ends, and what is recorded whole."""
     (tmp_path / "frames").mkdir()
     for k in range(3):
         (tmp_path / "frames" / f"{k}.png").write_bytes(encode(np.full((48, 64), 40 * k, np.uint8)))

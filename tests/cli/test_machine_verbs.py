@@ -52,12 +52,6 @@ def test_a_camera_of_a_sensor_that_is_known_is_opened_as_its_preset_says(monkeyp
     assert [one["preset"] for one in json.loads(typed("cameras", "--json"))] == ["gelsight-mini", None]
 
 
-def test_without_a_camera_it_says_how_to_begin(monkeypatch) -> None:
-    monkeypatch.setattr(camera_listing, "list_cameras", lambda: ())
-    assert "virtual:palm" in typed("cameras")
-    assert json.loads(typed("cameras", "--json")) == []
-
-
 def test_the_doctor_names_a_mend_for_all_that_is_missing() -> None:
     parts = json.loads(typed("doctor", "--json"))
     names = [part["name"] for part in parts]

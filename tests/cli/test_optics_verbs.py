@@ -93,10 +93,3 @@ def test_a_mistake_is_one_line_and_status_2(photos, options, said):
     err = fit_c(*asked(photos, **options), status=2).stderr
     assert said in err
     assert len(err.splitlines()) == 1
-
-
-def test_help_shows_units_and_an_example():
-    said = fit_c("--help").stdout
-    assert "Example: palpate optics fit-c" in said
-    assert "[mm]" in said
-    assert "[px]" in said

@@ -24,16 +24,6 @@ def test_all_presets_are_listed_with_how_their_cameras_are_recognised() -> None:
     assert {preset["name"] for preset in found} <= set(rows)
 
 
-def test_one_is_shown_with_the_source_of_each_value() -> None:
-    code, said = sensors("gelsight-mini")
-    assert code == 0
-    assert "3280 x 2464 px at 25 Hz MJPG [issue-36]" in said
-    assert "exposure 18 ms, white balance 4500 K" in said
-    assert "[issue-36] a user's list of the camera's modes: https://github.com/" in said
-    assert "not found in a source that can be cited [assumed]" in said
-    assert json.loads(sensors("digit", "--json")[1])["camera"]["usb"] == ["2833:0209"]
-
-
 def test_a_file_of_one_s_own_is_begun_checked_and_never_overwritten(tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
     assert sensors("new", file)[0] == 0

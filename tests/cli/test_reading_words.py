@@ -4,11 +4,7 @@ from __future__ import annotations
 
 import math
 
-import pytest
-from typer.testing import CliRunner
-
-from palpate.cli import app
-from palpate.cli.sense.reading_words import reading_words
+from palpate.cli.sense.live_outputs import reading_words
 from palpate.core import ClassReading, Reading, Readings
 
 COMMON = {"coverage": 0.9, "drift": None, "calibration": "c", "frame": "0", "time_s": 0.0}
@@ -43,12 +39,3 @@ def test_a_length_is_told_in_mm_with_its_interval_and_verdict_and_each_reason_on
         "y, shift_x –: no contact",
         "slip –: one frame alone",
     ]
-
-
-@pytest.mark.slow
-def test_the_line_of_a_patterned_skin_says_what_it_reads_as_any_other_does() -> None:
-    words = ("live", "--camera", "virtual:nusense", "--shear", "nusense", "--frames", "12")
-    line = CliRunner().invoke(app, words).stdout.splitlines()[-1]
-    assert " ± – " not in line
-    assert line.count("no contact") <= 1
-    assert " ratio" not in line

@@ -62,12 +62,6 @@ def test_a_linear_rig_is_chosen_by_name(tmp_path) -> None:
     assert not (tmp_path / "b").exists()
 
 
-def test_the_example_of_the_help_is_of_this_verb() -> None:
-    said = " ".join(render("--help").output.split())
-    assert "Example: palpate render tactip presses --specimen S1=7.6" in said
-    assert "rigid, S1 of 7.6 N/mm, S2 of 3.1, S3 of 1.1 and new of 5.3" in said
-
-
 @pytest.mark.parametrize(
     ("words", "says"),
     [

@@ -14,8 +14,6 @@ import pytest
 from typer.testing import CliRunner
 
 from palpate.cli import app
-from palpate.cli.record.rig_verbs import wrong_lines
-from palpate.devices.check.check_result import CheckResult
 from palpate.recordings import Run, check
 from palpate.sensors.tactip.tactip_sensor import TacTip
 
@@ -237,12 +235,3 @@ def test_a_stop_beside_a_process_that_holds_the_rig_is_its_emergency_stop(
     finally:
         process.terminate()
         process.wait(30)
-
-
-def test_a_finding_that_failed_says_what_was_measured_and_what_is_allowed() -> None:
-    late = CheckResult("latest-age", False, 0.1043, 0.1, "s", "wait for newer ones")
-    plain = CheckResult("close-twice", False, message="let it do nothing")
-    assert wrong_lines([late, plain]) == [
-        "wrong: latest-age: 104.3 ms (100): wait for newer ones",
-        "wrong: close-twice: let it do nothing",
-    ]

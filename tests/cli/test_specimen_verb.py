@@ -37,15 +37,6 @@ def test_each_class_is_told_with_both_cues_and_how_far_they_are_apart(tmp_path: 
     assert (tmp_path / "classes.png").stat().st_size > 20_000
 
 
-def test_one_class_is_told_in_words(tmp_path: Path) -> None:
-    ended = palpate("pairs", "specimens", "CL3", *WORDS[2:])
-    assert ended.exit_code == 0, ended.stderr
-    assert "CL1" not in ended.stdout
-    assert "as springs in a line apart by 68.75%" in ended.stdout
-    assert "over its mirror" in ended.stdout
-    assert "no specimen was measured" in ended.stdout
-
-
 @pytest.mark.parametrize(
     ("words", "said"),
     [

@@ -173,10 +173,7 @@ def test_what_is_chosen_for_the_page_stands_in_its_address_and_what_it_has_no_fi
     ]
     assert CliRunner().invoke(app, words).exit_code == 0
     assert CliRunner().invoke(app, words[:3]).exit_code == 0
-    assert served == [
-        {"folder": "s", "camera": "0", "scale": "/dev/x", "presses": 20},
-        {"folder": "s"},
-    ]
+    assert served == [{"folder": "s", "camera": "0", "scale": "/dev/x", "presses": 20}, {"folder": "s"}]
     done = CliRunner().invoke(app, [*words, "--more", "3", "--seed", "2"])
     assert (done.exit_code, len(served)) == (2, 2)
     assert "no field for --more, --seed: give --terminal" in done.output

@@ -66,18 +66,6 @@ def test_five_cups_are_judged_paused_gone_on_with_and_exported(tmp_path: Path) -
     assert palpate("experiment", "export", folder, tmp_path / "bids").exit_code == 2
 
 
-def test_a_new_design_says_what_of_it_is_to_be_made_one_s_own(tmp_path: Path) -> None:
-    assert "levels in" in palpate("experiment", "new", tmp_path / "a").stdout
-    rendered = palpate("experiment", "new", tmp_path / "b", "--preset", "threshold").stdout
-    assert "change both or none" in rendered
-    assert "--bench FILE" in rendered
-    assert (
-        "by --moduli-kpa" in palpate("experiment", "new", tmp_path / "c", "--preset", "bianchi-2010").stdout
-    )
-    given = ("--preset", "bianchi-2010", "--moduli-kpa", "800,500,300,150,100")
-    assert "moduli" not in palpate("experiment", "new", tmp_path / "d", *given).stdout
-
-
 def test_whoever_does_not_consent_has_no_trial(tmp_path: Path) -> None:
     folder = tmp_path / "jelly"
     palpate("experiment", "new", folder)
@@ -201,23 +189,6 @@ def test_kill_9_loses_at_most_the_judgement_being_given(seed: int, tmp_path: Pat
     kept = [(one.key, one.presented, one.answer) for one in read_judgements(table)]
     meant = [(one.key, one.presented, one.answer) for one in read_judgements(whole.folder)]
     assert kept == meant
-
-
-def test_ctrl_c_at_consent_makes_nothing_and_says_so(tmp_path: Path) -> None:
-    folder = tmp_path / "jelly"
-    palpate("experiment", "new", folder, "--seed", 1)
-    with child(
-        "palpate.cli", "experiment", "run", folder, "--participant", "P01",
-        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-    ) as process:  # fmt: skip
-        assert process.stderr is not None
-        assert "agreed" in process.stderr.readline()
-        process.send_signal(signal.SIGINT)
-        _, told = process.communicate(timeout=60)
-    assert process.returncode == 130
-    assert told.strip().endswith("palpate: stopped before the first trial; nothing was made")
-    assert "calibration" not in told
-    assert not list(folder.glob("sub-*"))
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")

@@ -12,20 +12,6 @@ from typer.testing import CliRunner
 
 from palpate.cli import app
 
-VERBS = (
-    ["import", "images"],
-    ["check"],
-    ["export"],
-    ["calibrate"],
-    ["adapt"],
-    ["reproduce", "palm"],
-    ["evaluate"],
-    ["read"],
-    ["report"],
-    ["compare"],
-    ["demo"],
-)
-
 
 def palpate(*words: object, status: int = 0):
     result = CliRunner().invoke(app, [str(word) for word in words])
@@ -63,7 +49,6 @@ def made_taps(made) -> Path:
 
 @pytest.mark.slow
 def test_circular_targets_and_vectors_are_asked_for_in_one_line(run, tmp_path) -> None:
-    """The spot goes over half of the period, so that its place is a direction as well."""
     words = ("calibrate", run, "--targets", "x_mm", "--split", "random", "--size", "16x16", "--quiet")
     said = palpate(*words, "--circular", "x_mm=4", "--out", tmp_path / "cal").stdout
     assert "calibration" in said
@@ -119,11 +104,6 @@ def made_calibration(made_run, made) -> Path:
     return made / "cal"
 
 
-@pytest.mark.parametrize("verb", VERBS, ids=" ".join)
-def test_help_gives_an_example(verb: list[str]) -> None:
-    assert f"palpate {' '.join(verb)}" in palpate(*verb, "--help").output
-
-
 def test_a_folder_becomes_a_run_that_checks_sound(run) -> None:
     found = json.loads(palpate("check", run, "--json").output)
     assert found["frames"] == 60
@@ -171,7 +151,6 @@ def test_sensing_prints_one_object_a_line(calibration, taps) -> None:
 
 
 def test_what_is_of_a_virtual_sensor_is_said_once_to_be_simulated(calibration, run, taps, tmp_path) -> None:
-    """A measured calibration on a simulated run, the other way round, and both measured: nothing is said."""
     labels = ("--labels", "labels.csv", "--image-column", "image_file")
     virtual = ("--provenance", "simulated")
     palpate("import", "images", taps, tmp_path / "made", *labels, *virtual)
@@ -252,10 +231,6 @@ def test_what_cannot_be_done_is_said_in_one_line(words, says, run, tmp_path) -> 
     assert says in result.stderr
     assert "Traceback" not in result.stderr
     assert not (tmp_path / "OUT").exists()
-
-
-def test_the_version_is_told() -> None:
-    assert palpate("--version").output.startswith("palpate ")
 
 
 def test_a_format_takes_its_own_options_only(taps, tmp_path) -> None:

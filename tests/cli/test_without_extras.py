@@ -60,16 +60,12 @@ def test_every_command_with_one_extra_or_none(tmp_path: Path, kept: str) -> None
 
 @pytest.mark.slow
 def test_every_command_of_the_wheel_alone(tmp_path: Path) -> None:
-    """Builds the wheel, installs it with its required dependencies alone, and walks over its commands."""
     pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "-q"]
     constraints = ["--constraint", str(REPOSITORY / "constraints.txt")]
     source, wheels, bare = tmp_path / "source", tmp_path / "wheels", tmp_path / "bare"
     subprocess.run(["git", "clone", "-q", str(REPOSITORY), str(source)], check=True)
     build = ["wheel", "--no-deps", *constraints, "--build-constraint", constraints[1], "-w", str(wheels)]
-    steps = [
-        [*pip, *build, str(source)],
-        [sys.executable, "-m", "venv", "--without-pip", str(bare)],
-    ]
+    steps = [[*pip, *build, str(source)], [sys.executable, "-m", "venv", "--without-pip", str(bare)]]
     python = bare / "bin" / "python"
     for step in steps:
         done = subprocess.run(step, capture_output=True, text=True, check=False)

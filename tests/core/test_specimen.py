@@ -23,11 +23,6 @@ def test_kinds_have_their_numbers_in_si() -> None:
     assert Specimen.parse("b=sphere:R_mm=20?") == Specimen.parse("b=sphere:R_mm=20")
 
 
-def test_flat_cylinders_and_a_rigid_plate_are_as_before() -> None:
-    assert Specimen.parse("S1=7.6") == Specimen("S1", 7600.0)
-    assert Specimen.parse("rigid").shape == "rigid"
-
-
 @pytest.mark.parametrize(
     ("words", "says"),
     [

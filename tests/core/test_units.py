@@ -1,7 +1,5 @@
 """Units at the edges are those of the SI's own tables, and a column's name says which is meant."""
 
-import math
-
 import pytest
 from scipy import constants
 from tests.refusals import refused
@@ -39,11 +37,6 @@ def test_a_value_goes_to_si_and_back(symbol: str) -> None:
     one = unit(symbol)
     assert one.to_si(2.5) == pytest.approx(2.5 * FACTORS.get(symbol, 1.0), rel=1e-15)
     assert one.from_si(one.to_si(2.5)) == pytest.approx(2.5, rel=1e-15)
-
-
-def test_half_a_turn_is_pi() -> None:
-    assert unit("deg").to_si(180.0) == math.pi
-    assert unit("mm").from_si(0.25) == 250.0
 
 
 def test_the_longest_unit_that_a_name_ends_in_is_meant() -> None:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.cli.walked_commands import commands
 from typer.main import get_command
 
 from palpate.cli import app
@@ -26,7 +27,6 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 SOURCE = REPOSITORY / "src" / "palpate"
 REPRODUCTIONS = REPOSITORY / "reproductions" / "src" / "palpate_reproductions"
 PACKAGES = {SOURCE.name, REPRODUCTIONS.name}
-MODULES = [path for package in (SOURCE, REPRODUCTIONS) for path in package.rglob("*.py")]
 PAGES = {
     path.relative_to(REPOSITORY).as_posix(): path.read_text(encoding="utf-8")
     for path in (
@@ -254,28 +254,8 @@ def test_new_paths_in_the_changelog_are_there() -> None:
     assert not sorted(dotted for dotted in old if not missing(dotted))
 
 
-def rows_of_words() -> list[list[str]]:
-    """Cells of every row of the tables on the page of words."""
-    lines = PAGES["docs/explanations/words.md"].splitlines()
-    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if line.startswith("|")]
-    return [row for row in rows if row[0] not in ("word", "---")]
-
-
-def test_classes_and_modules_on_the_page_of_words_are_there() -> None:
-    text = "\n".join(path.read_text(encoding="utf-8") for path in MODULES)
-    classes = set(re.findall(r"^class (\w+)", text, re.MULTILINE))
-    places = {path.stem for path in MODULES} | {path.parent.name for path in MODULES}
-    named = {code for _, meaning, _ in rows_of_words() for code in INLINE.findall(meaning)}
-    assert named
-    assert not sorted(named - classes - places)
-
-
-def test_no_module_is_called_what_only_older_files_say() -> None:
-    words = {word.strip() for row in rows_of_words() for word in re.split("[,:;]", row[2])}
-    modules = {path.stem for path in MODULES}
-    assert not sorted({word.replace(" ", "_") for word in words} & modules - {""})
-
-
-def test_a_word_stands_in_one_row() -> None:
-    words = [word.strip() for row in rows_of_words() for word in row[0].split(",")]
-    assert sorted(words) == sorted(set(words))
+def test_the_examples_in_the_help_of_each_command_are_of_the_program() -> None:
+    helps = [" ".join((one.help or "").split()) for _, one in commands(PROGRAM)]
+    examples = [line for text in helps for line in re.findall(r"Example: palpate (.+?)(?= Example:|$)", text)]
+    assert len(examples) > 60
+    assert not {line: fault for line in examples if (fault := fault_of_line(line))}

@@ -12,7 +12,6 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 PAGE = (REPOSITORY / "docs" / "explanations" / "where-code-lives.md").read_text(encoding="utf-8")
 PYPROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))
 PACKAGE = REPOSITORY / "src" / "palpate"
-MAX_WORDS = 600
 
 Layers = list[set[str]]
 
@@ -42,11 +41,6 @@ def rooms() -> set[str]:
     return folders | {path.stem for path in PACKAGE.glob("*.py")} - {"__init__", "version"}
 
 
-def words(text: str) -> int:
-    """Words of a page, those in its tables and its diagram too; marks of punctuation alone are none."""
-    return sum(any(character.isalnum() for character in word) for word in text.split())
-
-
 def test_the_diagram_is_that_of_the_import_contract() -> None:
     assert drawn(PAGE) == kept()
 
@@ -60,7 +54,3 @@ def test_every_room_stands_once_in_the_diagram_and_once_in_the_table() -> None:
     table = re.findall(r"^\| `(\w+)` \|", PAGE, re.MULTILINE)
     assert sorted(room for layer in drawn(PAGE) for room in layer) == sorted(rooms())
     assert sorted(table) == sorted(rooms())
-
-
-def test_the_page_has_at_most_600_words() -> None:
-    assert words(PAGE) <= MAX_WORDS

@@ -33,17 +33,5 @@ def test_every_page_but_the_decisions_template_stands_in_the_menu_once() -> None
     assert sorted(MENU) == sorted(pages)
 
 
-def test_the_menu_begins_with_the_tutorials_and_ends_with_the_decisions() -> None:
-    folders = [Path(page).parent.as_posix() for page in MENU]
-    order = list(dict.fromkeys(folders))  # a folder that is split would stand out of order below
-    assert order == [".", "tutorials", "how-to", "explanations", "decisions"]
-    assert folders == sorted(folders, key=order.index)
-
-
-def test_decisions_stand_in_the_order_of_their_numbers() -> None:
-    decisions = [page for page in MENU if page.startswith("decisions/")]
-    assert decisions == sorted(decisions)
-
-
 def test_the_style_sheets_that_are_named_are_there() -> None:
     assert all((DOCS / name).is_file() for name in CONFIGURATION["extra_css"])

@@ -8,6 +8,9 @@ import re
 import subprocess
 import sys
 import tomllib
+import types
+from collections import Counter
+from functools import cache
 from pathlib import Path
 
 import jaxtyping
@@ -31,6 +34,11 @@ ROOMS = [name for name, path in MODULES.items() if path.name == "__init__.py"]
 
 # Only what trains may need torch; everything else runs where it is not installed.
 NEEDS_TORCH = ("palpate.estimators.networks", "palpate.sensors.palm.networks")
+
+
+@cache
+def trees() -> dict[str, ast.Module]:
+    return {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in MODULES.items()}
 
 
 def run_python(code: str, folder: Path) -> str:
@@ -68,15 +76,38 @@ def test_scripts_that_seldom_run_import_only_what_exists(folder: str) -> None:
     assert not missing
 
 
-@pytest.mark.parametrize("room", ROOMS)
-def test_every_room_says_what_it_offers(room: str) -> None:
-    module = importlib.import_module(room)
-    assert module.__doc__
-    assert len(module.__doc__.split()) >= 3, "the docstring says in one line what the room is for"
-    names = module.__all__
-    assert len(names) == len(set(names))
-    missing = [name for name in names if not hasattr(module, name)]
-    assert not missing
+def test_every_package_offers_exactly_its_public_names() -> None:
+    for room in ROOMS:
+        module = importlib.import_module(room)
+        names = module.__all__
+        assert module.__doc__
+        assert len(names) == len(set(names)), room
+        assert not [name for name in names if not hasattr(module, name)], room
+        assert not [name for name in names if isinstance(getattr(module, name), types.ModuleType)], room
+        assert public_names(trees()[room], room) <= set(names), room
+
+
+def public_names(tree: ast.Module, package: str) -> set[str]:
+    """Names that the file of a package defines, or imports from its own modules, at its top."""
+    names: set[str] = set()
+    for node in tree.body:
+        match node:
+            case ast.ImportFrom(module=str(source), names=aliases) if source.startswith(f"{package}."):
+                names |= {alias.asname or alias.name for alias in aliases}
+            case ast.FunctionDef(name=name) | ast.ClassDef(name=name):
+                names.add(name)
+            case ast.Assign(targets=targets):
+                names |= {t.id for t in targets if isinstance(t, ast.Name)}
+            case ast.AnnAssign(target=ast.Name(id=name)):
+                names.add(name)
+    # type checkers know TYPE_CHECKING by this name only; it offers nothing
+    return {name for name in names if not name.startswith("_")} - {"TYPE_CHECKING"}
+
+
+def test_no_two_classes_and_no_two_modules_share_a_name() -> None:
+    classes = [n.name for tree in trees().values() for n in ast.walk(tree) if isinstance(n, ast.ClassDef)]
+    modules = [path.stem for path in MODULES.values() if path.stem not in ("__init__", "__main__")]
+    assert not [name for names in (classes, modules) for name, n in Counter(names).items() if n > 1]
 
 
 def test_palpate_offers_a_short_list_of_names() -> None:
@@ -119,12 +150,13 @@ for name in {list(MODULES)}:
     except ImportError as e:
         print(name, e)
 """
+    assert set(NEEDS_TORCH) <= set(MODULES)
     refused = run_python(code, tmp_path).splitlines()
     assert not [line for line in refused if not line.startswith(NEEDS_TORCH)]
 
 
 def test_no_module_pickles() -> None:
-    found = {name: pickling(ast.parse(path.read_text(encoding="utf-8"))) for name, path in MODULES.items()}
+    found = {name: pickling(tree) for name, tree in trees().items()}
     assert found
     assert {name: calls for name, calls in found.items() if calls} == {}
 
@@ -197,10 +229,6 @@ def test_no_file_names_a_folder_of_one_machine() -> None:
 def test_a_folder_of_one_machine_is_seen() -> None:
     assert MACHINE_PATH.search("open('" + "/home" + "/ada/run')")
     assert not MACHINE_PATH.search("https://example.org" + "/home" + "/ada")
-
-
-def test_the_rooms_that_may_need_torch_are_there() -> None:
-    assert set(NEEDS_TORCH) <= set(MODULES)
 
 
 @pytest.mark.slow

@@ -14,8 +14,6 @@ from typer.testing import CliRunner
 from palpate.calibration import CalibrationPlan, calibrate
 from palpate.cli import HEADINGS, app
 from palpate.cli.verb_support import phases, take_output_options
-from palpate.estimators.model_card import ScoreCard
-from palpate.reports import scores_table
 
 NEVER_TO_SENSE = {
     "jaxtyping", "matplotlib", "mcap", "numba", "onnx", "pandas", "pyarrow", "rosbags", "scipy.stats",
@@ -96,15 +94,6 @@ def test_verbs_stand_under_headings() -> None:
         *HEADINGS,
     ]
     assert "--install-completion" in shown
-
-
-def test_the_table_of_scores_fits_80_columns() -> None:
-    score = ScoreCard(
-        unit="mm", n=1, mae=0.0123, rmse=0.0123, bias=0.0, r2=-0.123, mean_mae=0.0123, coverage_90=1.0,
-        coverage_90_low=0.9987, coverage_90_high=1.0, half_width=0.0123,
-    )  # fmt: skip
-    table = scores_table({"force_magnitude_N": score}).splitlines()[:2]  # the longest target there is
-    assert max(map(len, table)) <= 80
 
 
 def test_in_a_pipe_each_phase_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:

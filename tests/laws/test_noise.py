@@ -86,7 +86,6 @@ def test_the_tables_values_are_those_of_equal_shares_of_a_normal_distribution():
 
 
 def test_draws_from_the_table_do_not_depend_on_each_other():
-    """Neighbours within a word of the generator, across words, and of two pictures in a row."""
     rng = np.random.default_rng(5)
     one, other = (normal_table()[table_draws(rng, N)].astype(float) for _ in range(2))
     for apart in (1, 2, 3, 4, 5, 8, 640):

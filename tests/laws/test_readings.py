@@ -14,13 +14,7 @@ from numpy.testing import assert_allclose
 from tests.refusals import refused
 
 from palpate.core import ColumnError, InputError, Reading, Readings, UnitError
-from palpate.core.reading import (
-    AlignedBox,
-    CircularReading,
-    Ellipsoid,
-    VectorReading,
-    wrapped,
-)
+from palpate.core.reading import AlignedBox, CircularReading, Ellipsoid, VectorReading, wrapped
 
 OTHER = {
     "coverage": 0.9,
@@ -204,11 +198,7 @@ def test_an_interval_that_runs_downwards_is_refused() -> None:
 
 @pytest.mark.parametrize(
     ("reading", "symbol", "factor"),
-    [
-        (ALL[0], "mm", 1e3),
-        (ALL[1], "rad", np.pi / 180),
-        (ALL[2], "mN", 1e3),
-    ],
+    [(ALL[0], "mm", 1e3), (ALL[1], "rad", np.pi / 180), (ALL[2], "mN", 1e3)],
     ids=["scalar", "circular", "vector"],
 )
 def test_all_that_has_the_unit_is_converted_and_what_is_held_stays_held(reading, symbol, factor) -> None:

@@ -49,7 +49,6 @@ def test_specimens_are_ordered_and_the_new_ones_stiffness_found(tip, tilt_deg, w
 
 @pytest.mark.slow
 def test_specimens_at_30_degrees_of_finite_strain_are_ordered_and_told_too() -> None:
-    """Without friction, from tables, where the others at a tilt are of linear bodies with it."""
     ordered_and_found(replace(tactip(), friction=0.0), 30, 0.25, FEW_SEEDS)
 
 

@@ -77,11 +77,7 @@ HINTS = {"--force": "compliance", "--sensor": "shear-force", "--skin": "shear-fo
 
 
 def by_calibration(words: list[str]) -> Chosen:
-    """Choose the kind by `HINTS`, or of the calibration after ``--with``.
-
-    Raises:
-        InputError: neither is given, or the calibration is of no known kind.
-    """
+    """Choose the kind by `HINTS`, or of the calibration after ``--with``."""
     kind, words = by_option("--kind", "")(words)
     if kind or not words:
         return kind, words if kind else ["--help"]
@@ -127,11 +123,7 @@ class CommandOfKinds(TyperCommand):
             yield self.usage.replace("KIND", kind), self.of(kind)
 
     def of(self, kind: str) -> Any:
-        """Return the command of a kind.
-
-        Raises:
-            InputError: there is no such kind.
-        """
+        """Return the command of a kind."""
         if kind not in self.places:
             known = ", ".join(self.places)
             raise InputError(f"palpate {self.name} has no {kind!r}; choose from {known}", code="unknown-kind")

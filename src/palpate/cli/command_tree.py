@@ -146,19 +146,12 @@ HEADINGS: dict[str, dict[str, str | Kinds]] = {
         "experiment": EXPERIMENT,
         "transmit": TRANSMIT,
     },
-    "Study": {
-        "demo": "study.study_verbs:demo",
-        "render": RENDER,
-        "mechanics": MECHANICS,
-        "optics": OPTICS,
-    },
+    "Study": {"demo": "study.study_verbs:demo", "render": RENDER, "mechanics": MECHANICS, "optics": OPTICS},
 }
 """Module and name of each verb or group of verbs, under the headings that `palpate --help` shows."""
 
 
-ADDED = {
-    "reproduce": ("palpate-reproductions", "Study", "Reproduce published studies on virtual sensors."),
-}
+ADDED = {"reproduce": ("palpate-reproductions", "Study", "Reproduce published studies on virtual sensors.")}
 """Distribution, heading and help of each command that another distribution of the repository adds."""
 
 
@@ -252,12 +245,7 @@ class Root(Group):
         return list(self.commands)
 
     def get_command(self, ctx: Any, name: str) -> Any:
-        """Return a command.
-
-        Raises:
-            MissingExtraError: it belongs to a distribution that is not installed.
-            PluginError: an installed distribution adds it, and it does not import or cannot be built.
-        """
+        """Return a command."""
         try:
             command = super().get_command(ctx, name)
         except Exception:

@@ -10,11 +10,7 @@ INTERRUPTED_STATUS = 130
 
 
 def run_app() -> None:
-    """Run the command tree; an exception that nothing handled ends in one line, a code, and a log.
-
-    Raises:
-        SystemExit: With 130 after Ctrl-C, and 70 after an exception that nothing handled.
-    """
+    """Run the command tree; an exception that nothing handled ends in one line, a code, and a log."""
     try:
         from palpate.cli.command_tree import app
 

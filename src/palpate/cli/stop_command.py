@@ -99,10 +99,7 @@ def _print_error(as_json: bool, code: str, message: str, holders: list[Holder]) 
 
 
 def _stop_on_port(rig: str) -> None:
-    """Write what stops a stage to its serial port, even if a process that hangs has it.
-
-    Every failure is passed over: the drivers report it when they load.
-    """
+    """Write what stops a stage to its serial port, even if a process that hangs has it."""
     try:
         import tomllib
 

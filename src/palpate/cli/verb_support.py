@@ -29,8 +29,7 @@ _output_given: set[str] = set()
 NewRun = Annotated[Path, Argument(help="Run to make; must not exist.")]
 NewCalibration = Annotated[Path, Option(help="Calibration folder to make; must not exist.")]
 ProvenanceName = Annotated[
-    str | None,
-    Option("--provenance", help="measured (default), simulated, or derived from other data."),
+    str | None, Option("--provenance", help="measured (default), simulated, or derived from other data.")
 ]
 ForceTable = Annotated[Path, Option(help="CSV or Parquet: samples of force and the frame each is of.")]
 ForceColumn = Annotated[str | None, Option(help="Its column of force, if not a usual name.")]

@@ -2,15 +2,7 @@
 
 from palpate.core.class_reading import ClassReading
 from palpate.core.clock import NS_PER_S, Clock, ManualClock, MonotonicClock
-from palpate.core.contact import (
-    FRESH,
-    Contact,
-    ContactSolution,
-    EarlierPress,
-    Pose,
-    PressHistory,
-    Probe,
-)
+from palpate.core.contact import FRESH, Contact, ContactSolution, EarlierPress, Pose, PressHistory, Probe
 from palpate.core.device_protocols import (
     ArmRange,
     ArmSample,

@@ -25,10 +25,6 @@ def read_arrays(path: Path, *, max_bytes: int = MAX_ARRAY_BYTES) -> dict[str, np
 
     Returns:
         Arrays by name.
-
-    Raises:
-        InputError: it is larger, holds objects, or a header and its data do not agree.
-        Exception: whatever a damaged archive makes zipfile and NumPy raise.
     """
     with path.open("rb") as file, zipfile.ZipFile(file) as archive:
         return arrays_of(archive, str(path), max_bytes)

@@ -47,11 +47,7 @@ class ClassReading(MeasurementResult):
         return told if self.valid else self.why
 
     def in_unit(self, symbol: str) -> ClassReading:
-        """The same reading; a class has no unit.
-
-        Raises:
-            UnitError: a unit is asked for.
-        """
+        """The same reading; a class has no unit."""
         if symbol != self.unit:
             raise UnitError(f"{self.quantity} is a class, which cannot be shown in {symbol}")
         return self

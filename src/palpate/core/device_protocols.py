@@ -1,12 +1,15 @@
 """The protocols of devices: a stage, a force sensor, a camera; a contact-area display and a haptic arm.
 
-Whoever has another device writes one of these and checks it with `palpate.check`. All times are on the
-host's monotonic clock [ns], all positions in the stage's own frame: x right, y towards the viewer, z into the
-skin [m]. A device that cannot do what it is asked raises `DeviceError`; none waits for ever.
+All times are on the host's monotonic clock [ns]; positions are in the stage's own frame: x right, y towards
+the viewer, z into the skin [m]. `palpate.check` checks an implementation. No method waits indefinitely.
 
-A display stands on an arm, and a finger presses both along one axis: every displacement is counted from where
-the finger touches first, positive the way it presses, and every force is positive where it pushes the finger
-back.
+Every method raises `DeviceError` if the device does not answer, refuses, is not ready, or has lost its
+position; `move_to`, `set_pressure`, and `set_force` raise `RangeError` for a value outside the range or not
+finite, and change nothing. `grab` and `drain` also raise `DeviceError` if the size or format changed, or
+samples were lost. `close` may be called again.
+
+The display stands on the arm. Displacement is counted from first touch, positive in the direction of the
+press; force is positive where it pushes the finger back.
 """
 
 from __future__ import annotations
@@ -75,38 +78,22 @@ class Stage(Protocol):
         """Its reach, speed and stopping."""
 
     def position_m(self) -> Position:
-        """Position now, also on its way [m].
-
-        Raises:
-            DeviceError: it does not answer, or its position is not known.
-        """
+        """Position now, also on its way [m]."""
 
     def move_to(self, position_m: Position, speed_m_s: float) -> None:
-        """Start moving in a straight line, and return at once.
-
-        Raises:
-            RangeError: a position outside the travel or a speed it cannot run at; it does not move.
-            DeviceError: it is moving already, is not ready, or refused.
-        """
+        """Start moving in a straight line, and return at once."""
 
     def moving(self) -> bool:
-        """True while the last move is under way.
-
-        Raises:
-            DeviceError: it does not answer, or has stopped by itself where it was not sent.
-        """
+        """True while the last move is under way."""
 
     def stop(self) -> None:
         """Slow down to a stand at once and forget the move; returns when it stands, its position known.
 
         Safe at any time and from any thread; does nothing where it stands.
-
-        Raises:
-            DeviceError: it could not be brought to a stand, or its position was lost.
         """
 
     def close(self) -> None:
-        """Stop, and let go of the device. Closing again does nothing."""
+        """Stop, and let go of the device."""
 
 
 @runtime_checkable
@@ -122,21 +109,13 @@ class ForceSensor(Protocol):
         """Greatest force along each axis that it can measure, to either side [N]."""
 
     def latest(self) -> Wrench:
-        """The newest sample, which may be old: its time tells.
-
-        Raises:
-            DeviceError: there was none yet, or the device is gone.
-        """
+        """The newest sample, which may be old: its time tells."""
 
     def drain(self) -> list[Wrench]:
-        """All samples since the last call, oldest first.
-
-        Raises:
-            DeviceError: the device is gone, or more were lost for want of calls than are kept.
-        """
+        """All samples since the last call, oldest first."""
 
     def close(self) -> None:
-        """Stop measuring and let go of the device. Closing again does nothing."""
+        """Stop measuring and let go of the device."""
 
 
 @runtime_checkable
@@ -152,14 +131,10 @@ class Camera(Protocol):
         """(width, height) of every frame [px]."""
 
     def grab(self, timeout_s: float = 1.0) -> tuple[int, Frame]:
-        """The next frame that is exposed wholly after this call, and when its exposure ended [ns].
-
-        Raises:
-            DeviceError: none came in time, its size or format changed, or the device is gone.
-        """
+        """The next frame that is exposed wholly after this call, and when its exposure ended [ns]."""
 
     def close(self) -> None:
-        """Let go of the device. Closing again does nothing."""
+        """Let go of the device."""
 
 
 @runtime_checkable
@@ -215,11 +190,7 @@ class SoftnessDevice(Protocol):
         """Shape, greatest pressure and watchdog."""
 
     def latest(self) -> DisplaySample:
-        """Its state now.
-
-        Raises:
-            DeviceError: it does not answer.
-        """
+        """Its state now."""
 
     def set_pressure(self, pressure_pa: float, rate_pa_s: float = 0.0) -> None:
         """Hold a gauge pressure from now on, until the next call or the watchdog; returns at once.
@@ -227,30 +198,19 @@ class SoftnessDevice(Protocol):
         Args:
             pressure_pa: of the chamber, from 0 to the greatest [Pa].
             rate_pa_s: at which it will go on changing, for a servo that can use it [Pa/s].
-
-        Raises:
-            RangeError: a pressure outside the range, or what is no number; nothing is changed.
-            DeviceError: it does not answer, or has been vented and not released.
         """
 
     def vent(self) -> None:
         """Open the chamber to the air, and keep it open until `release`.
 
         Safe at any time and from any thread.
-
-        Raises:
-            DeviceError: it could not be told.
         """
 
     def release(self) -> None:
-        """Let it hold pressure again after `vent`; the pressure stays 0 until it is set.
-
-        Raises:
-            DeviceError: it does not answer.
-        """
+        """Let it hold pressure again after `vent`; the pressure stays 0 until it is set."""
 
     def close(self) -> None:
-        """Vent, and let go of the device. Closing again does nothing."""
+        """Vent, and let go of the device."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -295,36 +255,20 @@ class HapticArm(Protocol):
         """Reach, greatest force and watchdog."""
 
     def latest(self) -> ArmSample:
-        """Its state now.
-
-        Raises:
-            DeviceError: it does not answer.
-        """
+        """Its state now."""
 
     def set_force(self, force_n: float) -> None:
         """Push with a force, its own weight carried beside, until the next call or the watchdog.
 
         Args:
             force_n: positive against the finger's press [N].
-
-        Raises:
-            RangeError: more than its greatest, or what is no number; nothing is changed.
-            DeviceError: it does not answer, refused, or brakes.
         """
 
     def brake(self) -> None:
-        """Drop the force and brake, until `release`. Safe at any time and from any thread.
-
-        Raises:
-            DeviceError: it could not be told.
-        """
+        """Drop the force and brake, until `release`. Safe at any time and from any thread."""
 
     def release(self) -> None:
-        """Let it take forces again after `brake`; the force stays 0 until it is set.
-
-        Raises:
-            DeviceError: it does not answer.
-        """
+        """Let it take forces again after `brake`; the force stays 0 until it is set."""
 
     def close(self) -> None:
-        """Brake, and let go of the device. Closing again does nothing."""
+        """Brake, and let go of the device."""

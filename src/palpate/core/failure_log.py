@@ -144,9 +144,6 @@ def contained(where: str, report: Report = report_to_stderr) -> Iterator[None]:
     Args:
         where: What the process does, as a phrase.
         report: Receives each failure.
-
-    Raises:
-        SystemExit: An exception that nothing handled was raised inside.
     """
     with thread_failures(report):
         try:

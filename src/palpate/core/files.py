@@ -38,10 +38,6 @@ def lock(path: Path) -> BinaryIO:
     """Lock a file against others who lock it, until what is returned is closed or its process ends.
 
     The file is neither read nor written.
-
-    Raises:
-        RecordingError: another holds it.
-        StorageError: it cannot be opened.
     """
     with storage_errors(path):
         file = path.open("r+b")
@@ -61,11 +57,7 @@ PathText = str | os.PathLike[str]
 
 
 def refuse_existing(path: Path) -> None:
-    """Raise if `path` exists in any form, a dangling link included.
-
-    Raises:
-        ExistsError: it does.
-    """
+    """Raise if `path` exists in any form, a dangling link included."""
     if os.path.lexists(path):
         raise ExistsError(f"{path} exists, and nothing is ever overwritten; name a new path or move it away")
 
@@ -100,11 +92,7 @@ MAX_NAME = 100
 
 
 def plain_name(text: str, of: str = "a run") -> str:
-    """A name that is no path, so that what is made of it lies in the folder in which it is made.
-
-    Raises:
-        InputError: it is empty, too long, begins with a dot, or has a character that a path could have.
-    """
+    """A name that is no path, so that what is made of it lies in the folder in which it is made."""
     good = text.isprintable() and 0 < len(text) <= MAX_NAME and not set(text) & set('/\\:*?"<>|')
     if not good or text.startswith(".") or text.strip() != text:
         raise InputError(
@@ -133,10 +121,6 @@ def new_folder(path: Path) -> AbstractContextManager[Path]:
 
     Returns:
         A context of the folder to fill. After an error it is removed, and `path` was never there.
-
-    Raises:
-        ExistsError: `path` exists.
-        StorageError: the disk refused.
     """
     return _moved_when_whole(path, Path.mkdir)
 

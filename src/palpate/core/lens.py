@@ -59,9 +59,6 @@ class Lens:
         max_angle_rad: largest angle from the axis for which the numbers were fitted [rad]; None leaves it
             to the polynomial alone.
         name: what the user calls it; not part of `id`.
-
-    Raises:
-        InputError: a number is not finite, out of its range, or one is missing.
     """
 
     model: LensModel
@@ -175,9 +172,6 @@ class Lens:
 
         Args:
             size_px: (height, width) of the frame [px].
-
-        Raises:
-            ImageError: it is not the lens's own.
         """
         if tuple(size_px) != self.size_px:
             (height, width), (tall, wide) = size_px, self.size_px
@@ -199,9 +193,6 @@ class Lens:
         Args:
             card: as `card` gives it.
             where: what a message calls it.
-
-        Raises:
-            InputError: it is not a lens file, lacks a number, or its numbers are not those of its id.
         """
         if not isinstance(card, Mapping) or card.get("schema") != SCHEMA:
             found = card.get("schema") if isinstance(card, Mapping) else type(card).__name__
@@ -232,23 +223,14 @@ class Lens:
         return lens
 
     def write(self, path: PathText) -> None:
-        """Write a lens file of its numbers alone.
-
-        Raises:
-            ExistsError: the path exists.
-            StorageError: the disk refuses.
-        """
+        """Write a lens file of its numbers alone."""
         with new_file(Path(path)) as building:
             building.write_text(json.dumps(self.card(), indent=1) + "\n", encoding="utf-8")
 
     @classmethod
     @parser("lens file", InputError, max_bytes=MAX_LENS_BYTES)
     def read(cls, path: PathText) -> Lens:
-        """Read a lens file.
-
-        Raises:
-            InputError: it is missing or not a lens file.
-        """
+        """Read a lens file."""
         place = Path(path)
         try:
             if place.stat().st_size > MAX_LENS_BYTES:

@@ -51,12 +51,6 @@ def in_parallel(
         processes: how many work on this machine; 1 works in this process.
         scheduler: address of a Dask scheduler whose workers shall do it, as in ``tcp://10.0.0.1:8786``.
         progress: told how many items are done of how many.
-
-    Raises:
-        InputError: no process, or processes as well as a scheduler; or no scheduler answers.
-        MissingExtraError: a scheduler is given and Dask is not installed.
-        PalpateError: a job refused its item; of the same kind in the tree of errors, and names the item.
-        RuntimeError: a job failed otherwise; the message names the item and the error.
     """
     if processes < 1:
         raise InputError(f"{processes} processes; give 1 or more", code="processes")

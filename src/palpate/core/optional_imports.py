@@ -36,9 +36,6 @@ def optional_imports(user: str) -> Iterator[None]:
     Args:
         user: What needs the package, as the subject of a sentence.
 
-    Raises:
-        MissingExtraError: An optional package is not installed, or does not load.
-
     Example:
         >>> try:
         ...     with optional_imports("A serial port"):
@@ -64,10 +61,6 @@ def require(module: str, user: str) -> Any:
     Args:
         module: Name of the module; its package is in `EXTRAS`.
         user: What needs it, as the subject of a sentence.
-
-    Raises:
-        MissingExtraError: Its package is not installed, or does not load; names the extra to install.
-        InputError: The package is not in `EXTRAS`.
     """
     top = module.partition(".")[0]
     if top not in EXTRAS:
@@ -79,11 +72,7 @@ def require(module: str, user: str) -> Any:
 
 
 def check_installed(module: str, user: str) -> None:
-    """Refuse to go on without an optional module, which is not imported.
-
-    Raises:
-        MissingExtraError: It is not installed; names the extra to install.
-    """
+    """Refuse to go on without an optional module, which is not imported."""
     try:
         found = find_spec(module) is not None
     except (ImportError, ValueError):

@@ -32,11 +32,7 @@ class Outline:
 
     @classmethod
     def disc(cls, diameter_m: float) -> Outline:
-        """A disc of a diameter [m].
-
-        Raises:
-            InputError: it is not positive.
-        """
+        """A disc of a diameter [m]."""
         if not (math.isfinite(diameter_m) and diameter_m > 0):
             raise InputError(f"a disc of {diameter_m} m; give a diameter above 0 m")
         return cls(diameter_m / 2)
@@ -49,12 +45,7 @@ class Outline:
 
     @classmethod
     def polygon(cls, corners_m: Corners) -> Outline:
-        """A convex polygon around the skin's centre; corners in order, once around, from +x towards +y.
-
-        Raises:
-            InputError: fewer than three corners, one that points inwards, sides that cross, or a polygon that
-                leaves out the skin's centre.
-        """
+        """A convex polygon around the skin's centre; corners in order, once around, from +x towards +y."""
         corners = tuple((float(x), float(y)) for x, y in corners_m)
         at = np.array(corners).reshape(-1, 2)
         sides = np.roll(at, -1, axis=0) - at

@@ -1,10 +1,4 @@
-"""Entry of every parser: the one place where damage to a file becomes an error of palpate's own tree.
-
-A file may come from a stranger, and the libraries that decode one raise whatever they meet. `parser` marks
-the function at which a file enters the package. It refuses what is no plain file and what is too large before
-anything is read, and turns whatever is raised within into an error that names the file. Errors of palpate's
-own tree pass unchanged. `PARSERS` lists all of them; tests and `tools/fuzz_parsers.py` feed each one.
-"""
+"""Entry of every parser: the one place where damage to a file becomes an error of palpate's own tree."""
 
 from __future__ import annotations
 

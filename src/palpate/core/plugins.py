@@ -49,13 +49,7 @@ class PluginRegistry:
         return (*self.built_in, *sorted(added - set(self.built_in)))
 
     def path_of(self, name: str) -> str:
-        """Path of a name's code, as ``module:Name``.
-
-        Raises:
-            InputError: nothing of the kind has this name; the message lists what there is.
-            PluginError: an installed package takes a name that exists; the message names both. Or its entry
-                point is not ``module:Name``.
-        """
+        """Path of a name's code, as ``module:Name``."""
         if PATH.fullmatch(name):
             return name
         claims = {point.value for point in installed(self.group) if point.name == name}
@@ -81,12 +75,7 @@ class PluginRegistry:
         return paths[0]
 
     def find(self, name: str) -> Any:
-        """Import what a name stands for.
-
-        Raises:
-            InputError, PluginError: see `path_of`.
-            PluginError: it does not import, or cannot be called.
-        """
+        """Import what a name stands for."""
         path = self.path_of(name)
         thing = import_path(path, self.kind, name)
         if not callable(thing):
@@ -97,13 +86,7 @@ class PluginRegistry:
         return thing
 
     def make(self, text: str) -> Any:
-        """Call what a name stands for; of ``NAME-PRESET``, with the preset, if `takes_preset`.
-
-        Raises:
-            InputError, PluginError: see `find`.
-            InputError: a preset for what takes none.
-            PluginError: it cannot be made, or breaks a law of its kind; the message names it and the law.
-        """
+        """Call what a name stands for; of ``NAME-PRESET``, with the preset, if `takes_preset`."""
         name, preset = self._parts(text)
         factory, which = self.find(name), _label(self.kind, text, self.path_of(name))
         if preset and not takes_preset(factory):
@@ -189,9 +172,6 @@ def plugin_calls(
     Args:
         message: what was called, with `ERROR` where the error is told.
         passed: errors that go through as they are.
-
-    Raises:
-        PluginError: the code within raised something else.
     """
     try:
         yield
@@ -219,9 +199,6 @@ def import_path(path: str, kind: str, name: str = "") -> Any:
         path: which; a name with dots goes into a class.
         kind: what it shall be, for the message.
         name: the one that it was asked for by, if that is another.
-
-    Raises:
-        PluginError: it does not import, whatever its module raises, or has no such name.
     """
     module, _, attributes = path.partition(":")
     remedy = "check its name, and that its folder is on PYTHONPATH or its package installed"
@@ -237,11 +214,7 @@ def _label(kind: str, name: str, path: str) -> str:
 
 
 def import_path_of(thing: Any, kind: str) -> str:
-    """The ``module:Name`` by which a class or function can be imported again, for a certificate to tell.
-
-    Raises:
-        PluginError: it cannot, as a lambda or what is defined inside a function.
-    """
+    """The ``module:Name`` by which a class or function can be imported again, for a certificate to tell."""
     path = f"{getattr(thing, '__module__', '')}:{getattr(thing, '__qualname__', '')}"
     if not PATH.fullmatch(path) or import_path(path, kind) is not thing:
         raise PluginError(

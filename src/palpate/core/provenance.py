@@ -20,11 +20,7 @@ class Provenance(StrEnum):
 
 
 def provenance_of(text: str) -> Provenance:
-    """Return the provenance that a user names.
-
-    Raises:
-        InputError: There is no such provenance.
-    """
+    """Return the provenance that a user names."""
     try:
         return Provenance(text)
     except ValueError:

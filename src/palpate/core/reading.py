@@ -89,11 +89,7 @@ class MeasurementResult:
         return "inside the calibrated range" if self.valid else self.why
 
     def in_unit(self: Same, symbol: str) -> Same:
-        """The same reading in another unit of the same quantity.
-
-        Raises:
-            UnitError: the unit measures something else.
-        """
+        """The same reading in another unit of the same quantity."""
         if symbol == self.unit:
             return self
         old, new = unit(self.unit), unit(symbol)
@@ -388,11 +384,7 @@ class VectorReading(MeasurementResult):
         return self.region.contains(truth - self.value)
 
     def component(self, name: str) -> Reading:
-        """One component with the region's reach along it; it holds the truth at least at the joint rate.
-
-        Raises:
-            ColumnError: there is no such component.
-        """
+        """One component with the region's reach along it; it holds the truth at least at the joint rate."""
         if name not in self.components:
             raise ColumnError(
                 f"{self.quantity} has no component {name!r}: {', '.join(self.components)}",

@@ -1,13 +1,4 @@
-"""The contract of a sensor design with everything that uses one: the rig, calibration, the live loop, pages.
-
-A sensor turns a probe at a pose into a `Contact`, and a `Contact` into a `Frame`. Everything is SI, in the
-sensor's own frame: x to the right, y towards the viewer, z into the skin, the origin at the skin's centre
-where it rests. Whether the probe is moved into the sensor or the sensor onto a specimen changes nothing here:
-a pose is the probe's, seen from the skin.
-
-Whoever has another sensor writes one class that keeps this contract, names it in the entry points of its
-package (group ``palpate.sensors``), and checks it with `palpate.check.check_sensor`.
-"""
+"""The contract of a sensor design with everything that uses one: rig, calibration, live loop, and pages."""
 
 from __future__ import annotations
 
@@ -168,11 +159,7 @@ class Sensor(Protocol):
         """Parts of the frame that matter, by name, (x, y, width, height) [px]."""
 
     def probe(self, words: str) -> Probe:
-        """A probe from words, such as "sphere:10".
-
-        Raises:
-            InputError: the sensor knows no such probe; the message lists what it knows.
-        """
+        """A probe from words, such as "sphere:10"."""
 
     def specimen(self, words: str) -> Specimen | None:
         """The compliant body that the same words name; None for a rigid probe."""
@@ -187,9 +174,6 @@ class Sensor(Protocol):
             pose: where and how deep; at a depth of 0 or below nothing is touched.
             specimen: the compliant body, whose face the probe is; None for a rigid probe.
             history: the tangential path, and what was before.
-
-        Raises:
-            RangeError: beyond what the sensor's laws know.
         """
 
     def known_depth_m(
@@ -373,10 +357,6 @@ MODELS_OF_SENSORS = {"palm": "palpate.sensors.palm.networks:MODELS"}
 
 
 def sensor(name: str = DEFAULT_SENSOR) -> Sensor:
-    """A sensor by name: a built-in one or another package's, with a preset after it as in "palm-small".
-
-    Raises:
-        InputError: there is none of the name, or it breaks the contract; the message says which law.
-    """
+    """A sensor by name: a built-in one or another package's, with a preset after it as in "palm-small"."""
     design: Sensor = SENSORS.make(name)
     return design

@@ -70,9 +70,6 @@ class Specimen:
 
         A question mark at the end asks that whoever records it does not tell it on, as of a specimen
         that a calibration shall be tried on; it changes nothing here.
-
-        Raises:
-            InputError: the words are of another form, or a number is not one that a body can have.
         """
         name, equals, value = words.removesuffix(UNTOLD).partition("=")
         kind, colon, numbers = value.partition(":")

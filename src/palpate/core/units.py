@@ -76,11 +76,7 @@ UNITS: dict[str, Unit] = {
 
 
 def unit(symbol: str) -> Unit:
-    """Look a unit up by its symbol.
-
-    Raises:
-        UnitError: the symbol is not known; the message lists those that are.
-    """
+    """Look a unit up by its symbol."""
     try:
         return UNITS[symbol]
     except KeyError:
@@ -89,9 +85,6 @@ def unit(symbol: str) -> Unit:
 
 def split_column(name: str) -> tuple[str, Unit]:
     """Take ``depth_mm`` apart into its quantity and its unit.
-
-    Raises:
-        UnitError: the name ends in no known unit.
 
     Example:
         >>> quantity, unit_ = split_column("stiffness_N_per_mm")

@@ -183,10 +183,7 @@ def calibrate(
 
 
 def _labelled(path: Path) -> palpate.Run:
-    """A run without frames that have no label at all, as a kill leaves them; how many is said.
-
-    One of which no frame has any is left as it is, and refused with the reason by whoever needs labels.
-    """
+    """A run without frames that have no label at all, as a kill leaves them; how many is said."""
     whole = palpate.Run.open(path)
     run = whole.labelled()
     if not len(run) or run is whole:

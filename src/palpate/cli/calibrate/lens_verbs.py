@@ -72,9 +72,7 @@ def board_picture(
     print_found({"board": str(out), "size_px": [height, width]}, f"{out}: {width}x{height} px")
 
 
-def show(
-    lens: Annotated[Path, Argument(help="Lens file.")],
-) -> None:
+def show(lens: Annotated[Path, Argument(help="Lens file.")]) -> None:
     """Say a lens's numbers, its field and its id.
 
     Example: palpate lens show lens.json

@@ -246,9 +246,7 @@ def _text(answer: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def stop(
-    name: Annotated[str, Option(help="Name of the bench, as its file has it.")] = DEFAULT_BENCH,
-) -> None:
+def stop(name: Annotated[str, Option(help="Name of the bench, as its file has it.")] = DEFAULT_BENCH) -> None:
     """Stop a rendering, from any terminal: vent and brake.
 
     Example: palpate display stop --name "desk bench"

@@ -41,11 +41,7 @@ PairForce = Annotated[float, Option(help="Force at which both are compared [N]."
 
 
 def kinesthetic(
-    words: Objects,
-    finger: Finger,
-    poisson: Poisson = 0.5,
-    force_n: PairForce = 2.0,
-    figure: Figure = None,
+    words: Objects, finger: Finger, poisson: Poisson = 0.5, force_n: PairForce = 2.0, figure: Figure = None
 ) -> None:
     """Find the ball of another modulus that feels alike to the arm.
 
@@ -57,11 +53,7 @@ def kinesthetic(
 
 
 def cutaneous(
-    words: Objects,
-    finger: Finger,
-    poisson: Poisson = 0.5,
-    force_n: PairForce = 2.0,
-    figure: Figure = None,
+    words: Objects, finger: Finger, poisson: Poisson = 0.5, force_n: PairForce = 2.0, figure: Figure = None
 ) -> None:
     """Find the ball of another modulus that feels alike to the skin.
 
@@ -73,11 +65,7 @@ def cutaneous(
 
 
 def compare(
-    words: Objects,
-    finger: Finger,
-    poisson: Poisson = 0.5,
-    force_n: PairForce = 2.0,
-    figure: Figure = None,
+    words: Objects, finger: Finger, poisson: Poisson = 0.5, force_n: PairForce = 2.0, figure: Figure = None
 ) -> None:
     """Compute how far two objects differ to each cue under a finger.
 
@@ -384,10 +372,7 @@ def _envelope_text(answer: dict[str, Any]) -> str:
     share, kpa, most_n = (
         answer[name] for name in ("rendered_share_of_way", "greatest_pressure_kPa", "greatest_force_N")
     )
-    lines += [
-        f"{share:.1%} of the display's way; at most {kpa:.2f} kPa and {most_n:.3f} N",
-        answer["model"],
-    ]
+    lines += [f"{share:.1%} of the display's way; at most {kpa:.2f} kPa and {most_n:.3f} N", answer["model"]]
     return "\n".join(lines + ([f"picture: {answer['figure']}"] if "figure" in answer else []))
 
 

@@ -221,13 +221,7 @@ def _sitting(
     stack: ExitStack, design: ExperimentDesign, participant: str, desk: SittingDesk, simulated: bool
 ) -> Sitting:
     from palpate.core import InputError
-    from palpate.psychophysics.experiments import (
-        Enrolment,
-        Sitting,
-        ask_enrolment,
-        enrol,
-        participant_folder,
-    )
+    from palpate.psychophysics.experiments import Enrolment, Sitting, ask_enrolment, enrol, participant_folder
 
     if not participant_folder(design, participant, simulated).exists():
         try:

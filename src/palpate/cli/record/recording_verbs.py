@@ -131,8 +131,7 @@ def images(
         str | None, Option(help="Labels in the images' names, as in 'x{x_mm}_f{force_N}.png'.")
     ] = None,
     in_order: Annotated[
-        bool,
-        Option("--in-order", help="Row i belongs to image i, counted by the numbers in their names."),
+        bool, Option("--in-order", help="Row i belongs to image i, counted by the numbers in their names.")
     ] = False,
     sensor: Sensor = "",
     licence: License = "",
@@ -140,8 +139,7 @@ def images(
     provenance: ProvenanceName = None,
     rate_hz: Annotated[float | None, Option(help="Frame rate, if the images are a sequence [Hz].")] = None,
     order_by: Annotated[
-        str | None,
-        Option(help="Column of numbers that says in which order the images were taken."),
+        str | None, Option(help="Column of numbers that says in which order the images were taken.")
     ] = None,
     allow_unlabelled: Unlabelled = False,
     strict: Annotated[bool, Option("--strict", help="Refuse columns of numbers that carry no unit.")] = False,

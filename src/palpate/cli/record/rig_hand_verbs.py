@@ -55,11 +55,7 @@ def home(
 
 
 def _placed_bench(rig: str, source: PositionFrom) -> Bench:
-    """Open stage and force sensor, the stage's position known.
-
-    Raises:
-        PositionUnknownError: It is not; its `code` is the reason.
-    """
+    """Open stage and force sensor, the stage's position known."""
     from palpate.rig.commissioning.bench import open_bench
 
     bench = open_bench(rig, ("force", "stage"), position=source)
@@ -207,8 +203,7 @@ def _answers_kept(out: Path, asked: Any) -> Iterator[None]:
 def setup(
     out: Annotated[Path, Option(help="Rig file to make; must not exist.")],
     answers: Annotated[
-        Path | None,
-        Option(help="TOML file of answers, name = value; the rest is asked at a terminal."),
+        Path | None, Option(help="TOML file of answers, name = value; the rest is asked at a terminal.")
     ] = None,
     yes: Annotated[bool, Option("--yes", help="Take what is proposed wherever something is.")] = False,
 ) -> None:

@@ -40,12 +40,7 @@ SHOWN_IN = {"s": (1e3, "ms"), "m": (1e3, "mm"), "m/s": (1e3, "mm/s")}
 
 
 def opened_at(position: str | None, opens: Callable[[PositionFrom], Opened]) -> Opened:
-    """Open a rig by the source of its stage's position; without one, ask a person where that is unknown.
-
-    Raises:
-        InputError: There is no such source.
-        PositionUnknownError: The position is unknown, and nobody is at a terminal or confirms it.
-    """
+    """Open a rig by the source of its stage's position; without one, ask a person where that is unknown."""
     from palpate.core import InputError, PositionUnknownError
     from palpate.rig.commissioning.hand_motion import PUSH
 
@@ -172,8 +167,7 @@ def _is_specimen(words: str) -> bool:
 
 @rig_app.command()
 def check(
-    rig: Annotated[str, Argument(help="A TOML file, or virtual:palm.")],
-    position: PositionSource = None,
+    rig: Annotated[str, Argument(help="A TOML file, or virtual:palm.")], position: PositionSource = None
 ) -> None:
     """Check a rig with its probe in free air; the stage moves by 2 mm.
 
@@ -201,9 +195,7 @@ def check(
 
 
 @rig_app.command()
-def fit(
-    run: Annotated[Path, Argument(help="Run whose force was right, or of the plan layer.")],
-) -> None:
+def fit(run: Annotated[Path, Argument(help="Run whose force was right, or of the plan layer.")]) -> None:
     """Print what a run says about the rig, to write into the rig's file.
 
     Of a run of the plan layer: where the layer lies. Of any other: the range of the skin's stiffness, against

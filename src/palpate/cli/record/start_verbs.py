@@ -22,8 +22,7 @@ CameraOption = Annotated[
     str, Option(help="Camera: its number, path or USB serial number; or virtual:palm, virtual:tactip.")
 ]
 ScaleOption = Annotated[
-    str,
-    Option(help="Serial port of a scale; typed for known weights; virtual beneath a virtual sensor."),
+    str, Option(help="Serial port of a scale; typed for known weights; virtual beneath a virtual sensor.")
 ]
 PressesOption = Annotated[int, Option(help="Presses to collect, with those that the run holds.", min=1)]
 SeedOption = Annotated[int, Option(help="Seed of a virtual hand, and of training.", min=0)]
@@ -146,10 +145,7 @@ def _teller() -> Callable[[PressCollector], None]:
 def _typed_weights(
     lay: Callable[[float], None] | None, lifted: Callable[[], None] | None
 ) -> Callable[[PressCollector], None]:
-    """Read weights from the keyboard in a thread; what is returned states those that have come.
-
-    A virtual hand is told what to lay on, and each weight is stated once it lies still.
-    """
+    """Read weights from the keyboard in a thread; what is returned states those that have come."""
     import queue
     import sys
     import threading

@@ -18,8 +18,7 @@ from palpate.cli.verb_support import (
 from palpate.core import refuse_existing
 
 Calibration = Annotated[
-    Path | None,
-    Option("--with", help="Calibration (.npz) of this sensor; without, only relative numbers."),
+    Path | None, Option("--with", help="Calibration (.npz) of this sensor; without, only relative numbers.")
 ]
 
 

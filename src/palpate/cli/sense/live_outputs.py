@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,6 +13,7 @@ from typer import Exit
 from palpate.cli.verb_support import say
 
 if TYPE_CHECKING:
+    from palpate.core import MeasurementResult, Readings
     from palpate.recordings.exchange.reading_log import ReadingLog
     from palpate.sensing.live_loop import LiveReading
     from palpate.sensing.streaming.live_recorder import LiveRecorder
@@ -36,9 +38,6 @@ class LiveOutputs:
         run: to record into; of several sensors RUN-1, RUN-2 and so on. None records none.
         log: MCAP file of readings; None for none.
         sensors: how many there are.
-
-    Raises:
-        ExistsError: one of them exists.
     """
 
     def __init__(self, run: Path | None, log: Path | None, sensors: int) -> None:
@@ -103,3 +102,32 @@ class LiveOutputs:
 
 def _counted(count: int, what: str) -> str:
     return f"{count} {what}" if count == 1 else f"{count} {what}s"
+
+
+BENCH_UNITS = {"m": "mm", "rad": "deg"}  # other units stay as the calibration has them
+
+
+def reading_words(readings: Readings) -> list[str]:
+    """Parts of a line: readings that have a value, and then those that have none, each reason once.
+
+    Example:
+        "x -11.541 mm ± 0.013 mm, inside the calibrated range", "y, rotation –: no contact"
+    """
+    told: list[str] = []
+    without: dict[str, list[str]] = {}
+    for one in readings.values():
+        if _has_value(one):
+            told.append(_in_bench_units(one))
+        else:
+            without.setdefault(one.verdict, []).append(one.quantity)
+    return told + [f"{', '.join(names)} –: {why}" for why, names in without.items()]
+
+
+def _has_value(reading: MeasurementResult) -> bool:
+    value = getattr(reading, "value", "")
+    return not math.isnan(value) if isinstance(value, float) else not isinstance(value, str) or bool(value)
+
+
+def _in_bench_units(reading: MeasurementResult) -> str:
+    shown = reading.in_unit(BENCH_UNITS[reading.unit]) if reading.unit in BENCH_UNITS else reading
+    return str(shown).replace(" ratio", "")

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Exit, Option
 
-from palpate.cli.sense.live_outputs import LiveOutputs
-from palpate.cli.sense.reading_words import reading_words
+from palpate.cli.sense.live_outputs import LiveOutputs, reading_words
 from palpate.cli.verb_support import as_json, is_quiet, numbers_of, say, signals_held, stopped_by_signals
 from palpate.devices.process_memory import loaded_kept
 
@@ -66,8 +65,7 @@ def live(
         Option(help="Calibration (.npz) of a tip with a force sensor beside: stiffness of each press."),
     ] = None,
     preset: Annotated[
-        str,
-        Option(help="Preset of the sensor, or its TOML file, where there is no CAL; else by its camera."),
+        str, Option(help="Preset of the sensor, or its TOML file, where there is no CAL; else by its camera.")
     ] = "",
     seconds: Annotated[float | None, Option(help="End after so long [s]; by default by Ctrl-C.")] = None,
     frames: Annotated[int | None, Option(help="End after so many frames of each camera.")] = None,
@@ -231,11 +229,7 @@ class ShownSensor:
         return f"{loop.name}: {counts}{times}{kept}{faults}"
 
     def refuse_size(self, reading: LiveReading) -> None:
-        """End where a camera, or a file that does not change, gives frames of another size than the CAL's.
-
-        Raises:
-            InputError: it does, with both sizes and what to do.
-        """
+        """End where a camera, or a file that does not change, gives frames of another size than the CAL's."""
         loop, (height, width) = self.live.loop, reading.image.shape[:2]
         wanted = loop.frame_px
         if wanted is None or self._fits(reading):  # of any size, or of the calibration's
@@ -250,11 +244,7 @@ class ShownSensor:
             self.refuse_all_sizes()
 
     def refuse_all_sizes(self) -> None:
-        """End by an error where no frame had the calibration's size.
-
-        Raises:
-            InputError: none had.
-        """
+        """End by an error where no frame had the calibration's size."""
         if self._other_size and not self._fitting:
             from palpate.core.errors import InputError
 

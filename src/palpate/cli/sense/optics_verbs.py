@@ -107,8 +107,7 @@ def fit_c(
     ] = 1.0,
     breadth_error_mm: Annotated[float, Option(help="Standard uncertainty of width or diameter [mm].")] = 0.05,
     wavelength_error_nm: Annotated[
-        float | None,
-        Option(help="Standard uncertainty of the wavelength [nm]; 1, or 10 if white."),
+        float | None, Option(help="Standard uncertainty of the wavelength [nm]; 1, or 10 if white.")
     ] = None,
     tone: Annotated[str, Option(help="srgb, or linear where the numbers are light.")] = "srgb",
     out: Annotated[Path | None, Option(help="PNG of the fit to make; must not exist.")] = None,

@@ -70,10 +70,7 @@ def sphere(
     p0 = float(law.sphere_pressure(np.zeros(1), a, R, *skin)[0])
     _print(
         _scalars(law.sphere_force_from_radius(a, R, *skin), d, a)
-        | {
-            "peak_pressure_kPa": p0 / 1e3,
-            "law": law.MODEL.format(shape="sphere"),
-        }
+        | {"peak_pressure_kPa": p0 / 1e3, "law": law.MODEL.format(shape="sphere")}
     )
 
 
@@ -95,10 +92,7 @@ def punch(
     F = law.punch_force(d, R, *skin)
     _print(
         _scalars(F, d, R)
-        | {
-            "mean_pressure_kPa": F / (math.pi * R**2) / 1e3,
-            "law": law.MODEL.format(shape="flat punch"),
-        }
+        | {"mean_pressure_kPa": F / (math.pi * R**2) / 1e3, "law": law.MODEL.format(shape="flat punch")}
     )
 
 
@@ -145,11 +139,7 @@ def layer(
         raise InputError(f"base {base!r} is not known; the layer's base is 'bonded' or 'sliding'")
     on: law.Base = "bonded" if base == "bonded" else "sliding"
     exact = law.sphere_force(d, R, h, *skin, on)
-    answer: Answer = {
-        "force_N": exact,
-        "depth_mm": depth_mm,
-        "sqrt_Rd_over_h_ratio": math.sqrt(R * d) / h,
-    }
+    answer: Answer = {"force_N": exact, "depth_mm": depth_mm, "sqrt_Rd_over_h_ratio": math.sqrt(R * d) / h}
     try:
         answer["dimitriadis_force_N"] = law.dimitriadis_force(d, R, h, *skin, on)
     except RangeError as e:

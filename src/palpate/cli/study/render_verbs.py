@@ -115,8 +115,7 @@ def tactip(
     ] = None,
     rigid: Annotated[bool, Option("--rigid", help="Press a rigid plate as well.")] = False,
     unknown: Annotated[
-        list[str] | None,
-        Option(help="Name whose stiffness specimens.csv shall not tell; again for more."),
+        list[str] | None, Option(help="Name whose stiffness specimens.csv shall not tell; again for more.")
     ] = None,
     tilt_deg: Annotated[
         float,

@@ -16,9 +16,7 @@ import palpate
 from palpate.cli.verb_support import phases, print_found, progress_bar, stopped_by_signals
 
 
-def demo(
-    out: Annotated[Path, Option(help="Folder to make; must not exist.")],
-) -> None:
+def demo(out: Annotated[Path, Option(help="Folder to make; must not exist.")]) -> None:
     """Show the whole loop on a virtual photoelastic skin.
 
     Records it, calibrates it, certifies it and senses with it; needs no hardware.
