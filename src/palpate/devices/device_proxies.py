@@ -80,11 +80,7 @@ class _SamplerProxy(_Proxy[Sampler]):
         return self._inner.rate_hz
 
     def age_s(self) -> float | None:
-        """Age of the newest that was drained or grabbed [s]; None where nothing was.
-
-        How old it was when it came, by the rig's clock, and the real time since: a clock that is set by hand
-        stands still together with an engine that does.
-        """
+        """Age of the newest that was drained or grabbed [s]; None where nothing was."""
         if self._newest_came is None:
             return None
         came_s, late_s = self._newest_came
@@ -215,11 +211,7 @@ class HeldProxy(_Proxy[Held]):
 
     @contextmanager
     def _ordering(self) -> Iterator[None]:
-        """Around an order that makes the device act.
-
-        Raises:
-            OperatorInterrupt: an emergency stop holds it.
-        """
+        """Around an order that makes the device act."""
         with self._sending:
             self._check_free()
             with self._noting_errors():
@@ -254,11 +246,7 @@ class StageProxy(HeldProxy[Stage]):
             self._inner.move_to(position_m, speed_m_s)
 
     def moving(self) -> bool:
-        """True while it is under way.
-
-        Raises:
-            OperatorInterrupt: an emergency stop holds it: wherever it was sent, it does not arrive.
-        """
+        """True while it is under way."""
         self._check_free()
         with self._noting_errors():
             return self._inner.moving()

@@ -64,11 +64,7 @@ class ClockSync:
         self._last_ns = 0
 
     def tap(self) -> Offset:
-        """Tap, and say how far the frames run behind the force.
-
-        Raises:
-            Tripped: no contact, or the frames do not show the taps; and all that a guarded motion raises.
-        """
+        """Tap, and say how far the frames run behind the force."""
         drained(self._rig.camera)
         self._last_ns = self._rig.clock.now_ns()
         with self._guard.samples.subscribed(self._feel), self._guard.looks.subscribed(self._look):

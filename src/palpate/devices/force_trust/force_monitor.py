@@ -130,9 +130,6 @@ class ForceMonitor:
     def learn_air(self, samples: Sequence[Wrench], stated_hz: float) -> None:
         """Learn noise, quantum and rate from good samples in the air; the press before is learnt from as
         well.
-
-        Raises:
-            Tripped: it comes too slowly, in bursts, repeats itself, or is not what it was at the last tare.
         """
         times = [one.time_ns / NS_PER_S for one in samples]
         check_pace(times, stated_hz)
@@ -382,11 +379,7 @@ class ForceMonitor:
         return self._doubt("repeats", f"{self._row} samples in a row are the same on all six axes")
 
     def _pressed_limit(self) -> int:
-        """Equal samples on the move that are no chance any more, of a coarse sensor that is pressed.
-
-        Its mean lies elsewhere between two steps than in the air: at a stand it may repeat one sample for as
-        long as it stands, which harms nobody. A stage that moves may begin `LAG_S` late.
-        """
+        """Equal samples on the move that are no chance any more, of a coarse sensor that is pressed."""
         due_n = self.corridor.least_n_m(self._level_n) * self._row_way_m
         air = self.air
         if air is None or due_n <= air.quantum_n:
@@ -467,10 +460,7 @@ class ForceMonitor:
             self._felt.append((force_n, rise_n, self._felt_step_m))
 
     def _outside(self, way_m: float, rise_n: float) -> Doubt | None:
-        """Hold the rise of force since contact began against the range of stiffness that the rig states.
-
-        A move in which contact begins before it was sent for certain does not count: its way is unknown.
-        """
+        """Hold the rise of force since contact began against the range of stiffness that the rig states."""
         least, greatest = self.corridor.stated_n_m(self._level_n)
         if not self._counts or least == 0:
             return None
@@ -516,10 +506,7 @@ class ForceMonitor:
         return self._level_n < max(HELD * self._noise_n, HELD_SHARE * self._turned_n)
 
     def _slack_n(self, noises: float, stiffness_n_m: float, early_s: float = 0.0) -> float:
-        """Force by which it may differ from a stiffness: noise, and what stage and sensor are late by [N].
-
-        The stage may have begun to move `early_s` before that was known [s].
-        """
+        """Force by which it may differ from a stiffness: noise, and what stage and sensor are late by [N]."""
         v, travel = self._speed, self._travel
         late_s = max(self.air.period_s if self.air else 0.0, self._limits.force_latency_s)
         slack_m = SLACK_M + v * (travel.latency_s + late_s + early_s) + v**2 / (2 * travel.acceleration_m_s2)

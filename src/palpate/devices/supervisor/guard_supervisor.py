@@ -192,11 +192,7 @@ class GuardSupervisor:
         self._send({"id": order.get("id"), **_answer_of(work)})
 
     def _begin(self, order: Mapping[str, Any]) -> dict[str, Any]:
-        """A new run: nothing of the one before is known any more.
-
-        Raises:
-            OperatorInterrupt: an emergency stop holds the stage.
-        """
+        """A new run: nothing of the one before is known any more."""
         if self._stage.held:
             raise OperatorInterrupt(OperatorCommand.ESTOP)
         self._control, self._pending = OperatorControl(), None

@@ -108,12 +108,6 @@ class GrblLink(GcodeLink):
 
         Returns:
             What was pushed between the line and its answer.
-
-        Raises:
-            RefusedError: the answer was `error:N`.
-            SilenceError: there was none; the link is out of step until `reset`.
-            CutOffError: `halt` was called, or the controller started anew.
-            DeviceError: the link is gone, or the line is too long.
         """
         if len(line) > MAX_SENT or not line.isascii():
             raise DeviceError(f"{line[:40]!r} has more than {MAX_SENT} characters and would not be read")

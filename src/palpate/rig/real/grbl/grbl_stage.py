@@ -117,11 +117,7 @@ class GrblStage(GcodeStage):
         return self._session.machine.motors_hold
 
     def hold_motors(self) -> None:
-        """Set $1=255 in the controller's memory; the motors keep their current from the next move on.
-
-        Raises:
-            DeviceError: it does not stand idle, or refuses.
-        """
+        """Set $1=255 in the controller's memory; the motors keep their current from the next move on."""
         with self._lock:
             session = self._session
             _, place_mm = session.standing()
@@ -236,10 +232,6 @@ class GrblStage(GcodeStage):
         """Take its place from the last session, where nothing can have moved or reset it since.
 
         See `palpate.rig.real.position_evidence`.
-
-        Raises:
-            PositionUnknownError: the evidence is not complete; `code` is the reason.
-            DeviceError: it is not standing idle.
         """
         with self._lock:
             self._session.note_restart()

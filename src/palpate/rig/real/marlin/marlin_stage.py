@@ -256,10 +256,6 @@ class MarlinStage(GcodeStage):
         """Take its place from the last session, where nothing can have moved or reset it since.
 
         See `palpate.rig.real.position_evidence`.
-
-        Raises:
-            PositionUnknownError: the evidence is not complete; `code` is the reason.
-            DeviceError: it does not stand.
         """
         with self._lock:
             self._note_restart()

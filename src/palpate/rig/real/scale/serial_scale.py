@@ -210,9 +210,8 @@ class WeightStream:
         return why
 
     def _other_unit(self, weight: Weight) -> str:
-        """Fault of a line in another unit than the first that had one: somebody has set the scale otherwise.
-
-        It could be read; but a line that carries no unit then means another weight than before.
+        """Fault of a line in another unit than the first that had one: somebody has set the
+        scale otherwise.
         """
         self._unit = self._unit or weight.unit
         if weight.unit in ("", self._unit):

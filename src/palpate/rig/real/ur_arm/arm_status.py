@@ -115,12 +115,7 @@ class ArmStatus:
         return f"{mode}; {self.safety_stop}" if self.safety_stop else mode
 
     def check_runs(self) -> None:
-        """Refuse an arm that cannot move.
-
-        Raises:
-            HardwareStopError: its own safety system has stopped it; says which stop.
-            DeviceError: it is not running.
-        """
+        """Refuse an arm that cannot move."""
         if self.safety_stop:
             raise HardwareStopError(f"the arm {self.safety_stop}")
         if self.mode != RUNNING:
@@ -147,12 +142,7 @@ class ArmWatch:
         self._looked_s = -math.inf
 
     def look(self) -> ArmStatus:
-        """The newest status.
-
-        Raises:
-            DeviceError: the connection is lost, the status is too old or no number, or the controller
-                restarted.
-        """
+        """The newest status."""
         with self._lock:
             if self._now_s() - self._looked_s > PAUSE_S:
                 self._apart_s = math.inf

@@ -116,12 +116,7 @@ class UrArmStage(Closing):
 
     @classmethod
     def open(cls, spec: UrArmSpec, clock: Clock | None = None) -> UrArmStage:
-        """Connect to the spec's controller, alone; nothing moves.
-
-        Raises:
-            MissingExtraError: ur_rtde is not installed.
-            DeviceError: another process holds the arm; besides as above.
-        """
+        """Connect to the spec's controller, alone; nothing moves."""
         receiving, controlling = _library("rtde_receive"), _library("rtde_control")
         held = hold_device(arm_named(spec.host))
         try:
@@ -148,11 +143,7 @@ class UrArmStage(Closing):
 
     @property
     def status(self) -> ArmStatus:
-        """The newest status.
-
-        Raises:
-            DeviceError: there is none, or it is too old.
-        """
+        """The newest status."""
         self._check_open()
         return self._watch.look()
 
@@ -188,12 +179,7 @@ class UrArmStage(Closing):
             self._hand_over([*target_m, *self._tool_rad], speed_m_s)
 
     def moving(self) -> bool:
-        """Whether the last move is still under way. See `palpate.core.Stage`.
-
-        Raises:
-            HardwareStopError: its safety system has stopped it.
-            DeviceError: besides, it stands short of its target, off its way, or its tool was turned.
-        """
+        """Whether the last move is still under way. See `palpate.core.Stage`."""
         with self._lock:
             status = self.status
             status.check_runs()
