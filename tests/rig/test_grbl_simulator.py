@@ -68,7 +68,6 @@ def test_a_dwell_says_idle(talk):
 
 
 def test_a_full_planner_answers_one_line_a_move(talk):
-    """20 moves: some 16 answers at once, the others as moves end."""
     talk.port.write(b"G21G91G94\n")
     talk.hear("ok$")
     began = time.monotonic()

@@ -149,7 +149,6 @@ def test_a_stop_cancels_a_jog_and_resets_nothing(grbl_bench, key):
 
 
 def test_a_hold_that_meets_a_stage_just_arrived_is_not_left_behind(grbl_bench):
-    """The first report after the hold still says Idle."""
     bench = grbl_bench(GrblParameters(homed=True, latency_s=0.01))
     stage = bench.open()
     stage.move_to((-0.0495, 0.050, 0.050), 0.01)

@@ -76,6 +76,7 @@ def test_a_press_within_the_stated_range_is_recorded(tmp_path: Path, seed: int) 
     assert abs(beyond_mm) < 0.15
 
 
+@pytest.mark.slow
 def test_without_a_stated_range_half_a_gain_goes_deeper_than_nominal(tmp_path: Path) -> None:
     outcome, beyond_mm = swept(tmp_path / "run", 0.5, stated=False)
     assert outcome.state is State.DONE
