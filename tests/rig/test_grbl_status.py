@@ -16,7 +16,6 @@ from palpate.rig.real.grbl.grbl_link import GrblLink
 from palpate.rig.real.grbl.grbl_move import MoveSupervisor
 from palpate.rig.real.grbl.grbl_supervisor import GrblMachine, GrblSpec
 
-START = (-0.050, 0.050, 0.050)
 MODELS = {"Grbl 1.1h": GrblParameters(homed=True), "grblHAL": GrblParameters(firmware="grblHAL", homed=True)}
 SPOILT = {
     "lost": GrblFaults(lose_every=5),

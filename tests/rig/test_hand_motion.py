@@ -13,7 +13,6 @@ from tests.refusals import refused
 
 from palpate.core import NS_PER_S, DeviceError, Position, Wrench
 from palpate.core.errors import RangeError
-from palpate.devices import Mounting
 from palpate.devices.motion_limits import Reason, Tripped
 from palpate.rig.commissioning.first_touch import touch_twice
 from palpate.rig.commissioning.hand_motion import (
@@ -44,24 +43,6 @@ def jogged(rig: Rig, **given: Any) -> float:
 
 def devices(rig: Rig) -> tuple[Any, ...]:
     return rig.stage, rig.force, rig.mounting, rig.clock
-
-
-class Turned:
-    """The rig's force sensor, its axes permuted and turned round."""
-
-    def __init__(self, rig: Rig, mounting: Mounting) -> None:
-        self._sensor, self._mounting = rig.force, mounting
-        self.rate_hz, self.range_n = rig.force.rate_hz, rig.force.range_n
-
-    def latest(self) -> Wrench:
-        one = self._sensor.latest()
-        return replace(one, force_n=self._mounting.to_skin(one.force_n))
-
-    def drain(self) -> list[Wrench]:
-        return [replace(one, force_n=self._mounting.to_skin(one.force_n)) for one in self._sensor.drain()]
-
-    def close(self) -> None:
-        self._sensor.close()
 
 
 class Switched:

@@ -171,10 +171,6 @@ class TestFile:
         assert there.weighed_on == "2026-11-28"
         assert there.retries == RetryLimits(1, 5, 0.5)
 
-    def test_what_it_leaves_out_is_the_documented_default(self) -> None:
-        there = self.opened()
-        assert (there.stiffness, there.weighed_on, there.retries) == ({}, "", RetryLimits(3, 20, 1.0))
-
     @pytest.mark.parametrize("wrong", [{"force_N": [2, 1]}, {"least_N_mm": [3, 2]}, {"greatest_N_mm": [2]}])
     def test_a_range_that_is_none_is_refused(self, wrong: dict[str, Any]) -> None:
         with pytest.raises(ValidationError):

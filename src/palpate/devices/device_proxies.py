@@ -76,7 +76,6 @@ class _SamplerProxy(_Proxy[Sampler]):
 
     @property
     def rate_hz(self) -> float:
-        """Samples or frames a second, as the device states them [Hz]."""
         return self._inner.rate_hz
 
     def age_s(self) -> float | None:
@@ -102,17 +101,14 @@ class ForceProxy(_SamplerProxy[ForceSensor]):
 
     @property
     def range_n(self) -> tuple[float, float, float]:
-        """Greatest force along each axis, as the device states it [N]."""
         return self._inner.range_n
 
     def latest(self) -> Wrench:
-        """The newest sample."""
         with self._noting_errors():
             self.newest = self._inner.latest()
         return self.newest
 
     def drain(self) -> list[Wrench]:
-        """All since the last call."""
         with self._noting_errors():
             samples = self._inner.drain()
         if samples:
@@ -146,14 +142,12 @@ class CameraProxy(_SamplerProxy[FrameSource]):
         return self._inner.size_px
 
     def grab(self, timeout_s: float = 1.0) -> tuple[int, Frame]:
-        """The next frame."""
         with self._turn, self._noting_errors():
             frame = self._inner.grab(timeout_s)
             self._keep([frame])
         return frame
 
     def drain(self) -> list[tuple[int, Frame]]:
-        """All since the last call."""
         with self._turn, self._noting_errors():
             frames = self._inner.drain()
             self._keep(frames)
@@ -228,11 +222,9 @@ class StageProxy(HeldProxy[Stage]):
 
     @property
     def travel(self) -> Travel:
-        """Reach, speed and stopping, as the device states them."""
         return self._inner.travel
 
     def position_m(self) -> Position:
-        """Position now [m]."""
         with self._noting_errors():
             return self._inner.position_m()
 
@@ -246,7 +238,6 @@ class StageProxy(HeldProxy[Stage]):
             self._inner.move_to(position_m, speed_m_s)
 
     def moving(self) -> bool:
-        """True while it is under way."""
         self._check_free()
         with self._noting_errors():
             return self._inner.moving()
@@ -296,11 +287,9 @@ class PlainActuator:
 
     @property
     def travel(self) -> Travel:
-        """Reach, speed and stopping, as the device states them."""
         return self._inner.travel
 
     def position_m(self) -> Position:
-        """Position now [m]."""
         with driver_errors("the stage's driver failed"):
             return self._inner.position_m()
 
@@ -310,7 +299,6 @@ class PlainActuator:
             self._inner.move_to(position_m, speed_m_s)
 
     def moving(self) -> bool:
-        """Whether it is under way."""
         with driver_errors("the stage's driver failed"):
             return self._inner.moving()
 
@@ -328,7 +316,6 @@ class PlainForceSource:
 
     @property
     def rate_hz(self) -> float:
-        """Samples a second, of a sensor that states them [Hz]."""
         inner: Any = self._inner
         return float(inner.rate_hz)
 
@@ -338,12 +325,10 @@ class PlainForceSource:
         return float(getattr(self._inner, "delay_s", 0.0))
 
     def latest(self) -> Wrench:
-        """The newest sample."""
         with driver_errors("the force sensor's driver failed"):
             return _plain(self._inner.latest())
 
     def drain(self) -> list[Wrench]:
-        """All since the last call."""
         with driver_errors("the force sensor's driver failed"):
             return [_plain(one) for one in self._inner.drain()]
 

@@ -18,7 +18,6 @@ class DisplayProxy(HeldProxy[SoftnessDevice]):
         return self._inner.range
 
     def latest(self) -> DisplaySample:
-        """Its state now."""
         with self._noting_errors(), driver_errors(DISPLAY_FAILED):
             return self._inner.latest()
 
@@ -44,7 +43,6 @@ class ArmProxy(HeldProxy[HapticArm]):
         return self._inner.range
 
     def latest(self) -> ArmSample:
-        """Its state now."""
         with self._noting_errors(), driver_errors(ARM_FAILED):
             return self._inner.latest()
 

@@ -153,7 +153,6 @@ class MotionGuard:
         return self._bias.force(sample)
 
     def position_m(self) -> Position:
-        """Position of the stage [m]."""
         try:
             return self._stage.position_m()
         except DeviceError as e:

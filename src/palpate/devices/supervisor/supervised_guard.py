@@ -67,7 +67,6 @@ class SupervisedGuard:
         return self._bias.force(sample)
 
     def position_m(self) -> Position:
-        """Position of the stage [m]."""
         return three(self._ask("position"))
 
     def tare(self, stated_hz: float) -> list[Wrench]:

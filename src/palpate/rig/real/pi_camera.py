@@ -51,7 +51,6 @@ class PiCamera(Closing):
 
     @property
     def rate_hz(self) -> float:
-        """Frames a second that it is set to [Hz]."""
         return self._settings.rate_hz
 
     @property
@@ -73,7 +72,6 @@ class PiCamera(Closing):
             return newest
 
     def drain(self) -> list[tuple[int, Frame]]:
-        """Frames since the last call or `grab`, oldest first."""
         with self._new:
             if self._failure:
                 raise DeviceError(self._failure)

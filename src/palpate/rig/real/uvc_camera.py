@@ -308,7 +308,6 @@ class UvcCamera(Closing):
 
     @property
     def rate_hz(self) -> float:
-        """Frames a second that it is set to [Hz]."""
         return self._settings.rate_hz
 
     @property

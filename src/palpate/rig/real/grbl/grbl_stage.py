@@ -146,7 +146,6 @@ class GrblStage(GcodeStage):
         move.first = self._link.next_number
 
     def moving(self) -> bool:
-        """Whether the last move is still under way. See `palpate.core.Stage`."""
         with self._lock:
             session = self._session
             move = session.move

@@ -145,7 +145,6 @@ class MarlinStage(GcodeStage):
         return self._machine.steps_per_mm
 
     def position_m(self) -> Position:
-        """Place now [m]. See `palpate.core.Stage`."""
         with self._lock:
             self._need_known()
             place_mm = self._look()
@@ -179,7 +178,6 @@ class MarlinStage(GcodeStage):
         raise DeviceError("a Marlin controller that gave up cannot be unlocked: switch it off and on again")
 
     def moving(self) -> bool:
-        """Whether the last move is still under way. See `palpate.core.Stage`."""
         with self._lock:
             place_mm = self._look()
             self._check_place(place_mm)

@@ -326,7 +326,6 @@ class NetFT(Closing):
             return self._refuse_failed()
 
     def drain(self) -> list[Wrench]:
-        """Samples since the last call, oldest first."""
         with self._lock:
             self._refuse_failed()
             if self._overflowed:

@@ -246,12 +246,10 @@ class HexSensor(SerialForceSensor):
 
     @property
     def rate_hz(self) -> float:
-        """Samples a second, as stated [Hz]."""
         return self._spec.rate_hz
 
     @property
     def range_n(self) -> tuple[float, float, float]:
-        """Greatest force along each axis [N]."""
         return (self._spec.range_n,) * 3
 
     @property

@@ -270,7 +270,6 @@ class SerialScale(SerialForceSensor):
 
     @property
     def rate_hz(self) -> float:
-        """Lines a second, as stated [Hz]."""
         return self._spec.rate_hz
 
     @property

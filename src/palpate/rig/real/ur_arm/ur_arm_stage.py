@@ -179,7 +179,6 @@ class UrArmStage(Closing):
             self._hand_over([*target_m, *self._tool_rad], speed_m_s)
 
     def moving(self) -> bool:
-        """Whether the last move is still under way. See `palpate.core.Stage`."""
         with self._lock:
             status = self.status
             status.check_runs()
