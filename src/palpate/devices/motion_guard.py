@@ -1,12 +1,8 @@
-"""Guarded motion: nothing moves on an old force, and nothing goes on moving past a limit.
+"""Guarded motion: nothing moves on an old force, and no motion continues past a limit.
 
-A move towards the skin is cut into short ones, one in flight at a time, so that a link that breaks can run on
-by one of them at most. While anything moves, the force sensor is read without pause; the stage is stopped on
-too much force, too fast a rise, an old or faulty sample, the operator's wish, or any failure at all. Once the
-air has taught what the sensor's noise is, it also stops on a force that no motion explains (`force_trust`):
-it listens for a moment more, at a stand, and names what is wrong.
-
-What passes meanwhile is published: the samples as they were drained, where the stage is, and each look.
+A move towards the skin is divided into short ones, one in flight at a time. During motion the stage stops on
+too much force, too fast a rise, an old or faulty sample, an operator command, any failure, or a force that no
+motion explains (`force_trust`). Subscribers receive the samples, the position, and each look.
 """
 
 from __future__ import annotations

@@ -1,11 +1,8 @@
-"""The engine: runs a plan on a rig, and keeps no progress but the recording.
+"""The engine: runs a plan on a rig; the recording is its only record of progress.
 
-A press that is interrupted, by a pause, a fault or a kill, is approached anew: lifted, tared, contact found
-again, down again under guard; only the frames that are missing are recorded. So nothing ever moves on from
-where it was left without testing the force.
-
-A transient fault, such as one late force sample, rejects the attempt: the probe is lifted, the force must be
-zero at the clearance, the gentle touch is repeated, and then the press, as often as `Rig.retries` allows.
+An interrupted press is repeated from the approach (lift, tare, contact, descent under guard), and only the
+missing frames are recorded. A transient fault, such as one late sample, rejects the attempt: the probe is
+lifted, the zero is checked, and the gentle touch and the press are repeated, up to `Rig.retries`.
 """
 
 from __future__ import annotations

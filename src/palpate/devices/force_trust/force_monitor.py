@@ -1,25 +1,23 @@
-"""Monitor of a force sensor: whether what it reads can be the force of a probe that moves so.
+"""Monitor of a force sensor: whether its samples can be the force of a probe that moves as commanded.
 
-It learns in the air what the sensor's noise is, and in each press how force rises with depth; then every
-sample is held against the last ones and against the way that the stage was sent. All tests are of one sample
-at a time and cost a few comparisons. What it doubts, it says why; the name of the fault is found afterwards,
-at a stand, from the samples that follow (`fault_names`).
+The monitor learns the sensor's noise in air and the rise of force with depth in each press. It compares every
+sample with the previous ones and with the commanded travel. `fault_names` then names the fault from the
+samples at rest.
 
-| doubt | what is not believed |
+| plausibility fault | what is implausible |
 |---|---|
-| repeats | more equal samples in a row, on all six axes, than noise leaves to chance |
-| jump | a change from one sample to the next that no way in between explains |
-| pull | a probe on its way down that is pulled |
-| flat, steep | a force that rises less, or more, with depth than in the presses before |
+| repeats | more equal samples in a row, on all six axes, than noise explains |
+| jump | a change between two samples that no travel explains |
+| pull | a tensile force on the way down |
+| flat, steep | a force that rises less, or more, with depth than in earlier presses |
 | soft, stiff | a force that rises less, or more, with depth than the rig states |
 | holds | a force that does not fall on the way back |
-| lost | a contact that is gone though nothing moved away |
+| lost | contact that ends without motion away |
 | quiet | noise that has fallen |
-| late, gap | a sample that came after its turn; none at all |
-| rise, struck | a force that rises while the probe moves away, or to the clearance, however fast |
+| late, gap | a sample after its turn; no sample at all |
+| rise, struck | a force that rises while the probe moves away, or to the clearance |
 
-Sequential sums (Page 1954, doi:10.1093/biomet/41.1-2.100) find the first way over which force rose too
-little, wherever it began.
+Sequential sums (Page 1954, doi:10.1093/biomet/41.1-2.100) detect a rise that is too small, wherever it began.
 """
 
 from __future__ import annotations

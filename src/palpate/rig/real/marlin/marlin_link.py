@@ -1,13 +1,9 @@
-"""The conversation with a Marlin controller: one line in flight, one thread that reads.
+"""Serial link to a Marlin controller: one line in flight, one thread that reads.
 
-Its `ok` names no line. Numbers and checksums let it ask again for a damaged line; where an `ok` or a line was
-lost, the link says a word that the controller has to repeat (M118): whatever comes before the word belongs to
-lines of before. So one lost line costs a little time and never an answer taken for another's.
+Its `ok` names no line. After a lost `ok` or line the link sends a word that the controller repeats (M118);
+everything before that word belongs to earlier lines.
 
-Nothing here knows of positions. Waiting is in real time: it bounds what the wire may take.
-
-Reference: Marlin's documentation of M110, M118, M410 and M112; that a line of its own before M410 keeps a
-line cut short from hiding it: the commit that brought the emergency parser.
+Reference: Marlin's documentation of M110, M118, M410 and M112.
 """
 
 from __future__ import annotations

@@ -1,11 +1,8 @@
 """ATI's Net F/T box as a force sensor: calibration over HTTP, records over UDP, received by a thread.
 
-What goes wrong is told, never guessed over: a sample that cannot be trusted carries a fault and no numbers; a
-box that is silent, stands still, restarts or reports an error ends the stream with a `DeviceError`. Samples
-are dated by the box's own numbers, so that what was held back on its way is as old as it is. The box's
-own bias is never set, nor is anything else in it: only start and stop are sent.
-
-Plain text without any proof of who speaks: connect the box to a network of its own.
+An unreliable sample carries a fault and no numbers. A box that is silent, stands still, restarts, or reports
+an error ends the stream with a `DeviceError`. Samples are dated by the box's own counters. Only start and
+stop are sent. The protocol has no authentication: connect the box to a network of its own.
 """
 
 from __future__ import annotations

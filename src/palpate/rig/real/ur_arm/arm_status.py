@@ -1,11 +1,9 @@
-"""Status of an arm by its receive interface: where its tool is, how old that is, what keeps it from moving.
+"""Status of an arm by its receive interface: tool pose, age, and what prevents motion.
 
-Age is told by the controller's own timestamp, as a line that broke without a word leaves the last values
-standing: the interface goes on to hand them out. The quickest status seen so far sets the two clocks against
-each other, since one can only come later, never sooner.
+Age comes from the controller's own timestamp, because the interface repeats the last values after a lost
+connection. The status with the least delay synchronizes the two clocks.
 
-Source: the API reference of ur_rtde (sdurobotics.gitlab.io/ur_rtde), RTDEReceiveInterface: getTimestamp,
-getActualTCPPose, getActualTCPSpeed, getRobotMode, getSafetyStatusBits, isConnected.
+Source: API reference of ur_rtde (sdurobotics.gitlab.io/ur_rtde), RTDEReceiveInterface.
 """
 
 from __future__ import annotations
