@@ -83,6 +83,7 @@ def test_without_a_stated_range_half_a_gain_goes_deeper_than_nominal(tmp_path: P
     assert beyond_mm > 0.5
 
 
+@pytest.mark.slow
 def test_a_range_from_a_run_finds_the_gain_that_changed_after_it(tmp_path: Path) -> None:
     def there(gain: float, clock_ns: int, **fields: Any) -> Any:
         sound = rig(variation=Variation(), clock=ManualClock(clock_ns), seed=3)
