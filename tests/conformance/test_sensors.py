@@ -32,6 +32,7 @@ def test_every_registered_sensor_keeps_every_law(name: str) -> None:
     assert len(findings) == len(LAWS) + 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SENSORS.names())
 @pytest.mark.cases(1)
 def test_a_sensor_at_the_size_of_a_rig_keeps_every_law(name: str) -> None:
@@ -153,6 +154,7 @@ SMALL_ONES = [sensor(SMALL.get(name, name)) for name in SENSORS.names()]
     ("across", "down"),
     mostly_slow([(1 / 3, 1.0), (1.0, 1 / 5), (3.0, 1.0), (1.0, 5.0)], lambda i: i % 3 == 0),
 )
+@pytest.mark.cases(2)
 def test_axes_of_another_scale_are_found_out(sound: Sensor, across: float, down: float) -> None:
     (finding,) = image_scale(cast(Sensor, Broken(sound, axes=scaled(sound.axes, across, down))))
     assert finding.code == "image-scale"

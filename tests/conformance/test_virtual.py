@@ -891,6 +891,7 @@ def test_nothing_moves_on_a_force_sensor_that_fails(kind: Any) -> None:
 
 
 @pytest.mark.parametrize("kind", ["force-stalls", "force-saturates", "force-gone", "force-spike"])
+@pytest.mark.cases(1)
 def test_motion_ends_when_the_force_sensor_fails_on_the_way(kind: Any) -> None:
     # Force and camera take 2 s and more; by then the stage moves.
     made = rig(Fault(kind, 10.0))

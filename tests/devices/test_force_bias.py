@@ -45,7 +45,6 @@ def test_a_mounting_that_is_none_is_refused(axes) -> None:
 
 @pytest.mark.parametrize("axes", [("x", "y", "z"), ("-y", "x", "-z")])
 def test_a_load_after_the_tare_is_the_load(rng, axes) -> None:
-    """All six components, in the skin's axes; the mean of 40 samples is known to a sixth of the noise."""
     tare = ForceBias(Mounting(axes))
     tare.measure(quiet(rng))
     load, moment = np.array([0.4, 0.6, -2.0]), np.array([0.05, 0.03, -0.07])

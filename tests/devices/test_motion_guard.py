@@ -129,7 +129,6 @@ def test_it_stops_on_more_force_than_is_allowed() -> None:
 
 
 def test_a_busy_computer_sends_no_further_step_on_a_force_that_it_has_not_looked_at() -> None:
-    """It hears of each step when that is over: half a millimetre at 12 N/mm is 6 N, and 5 are allowed."""
     limits = Limits(LIMITS.least_m, LIMITS.greatest_m, 5.0, 1e6, step_m=0.5e-3)
     bench = Bench(stiffness_n_m=12e3, limits=limits)
     bench.stage.start = bench.stage.target = (0.0, 0.0, 0.0)
@@ -147,7 +146,6 @@ def test_a_busy_computer_sends_no_further_step_on_a_force_that_it_has_not_looked
 
 @pytest.mark.parametrize(("stiffness", "trips"), [(40e3, False), (60e3, True)])
 def test_it_stops_on_a_force_that_rises_too_fast(stiffness: float, trips: bool) -> None:
-    """At 2 mm/s these are 80 and 120 N/s; 100 are allowed."""
     bench = Bench(stiffness_n_m=stiffness, limits=Limits(LIMITS.least_m, LIMITS.greatest_m, 1e3, 100.0))
     if not trips:
         bench.guard.towards((0.0, 0.0, 0.3e-3), SPEED)
@@ -169,7 +167,6 @@ def test_nothing_moves_on_an_old_or_faulty_force() -> None:
 
 @pytest.mark.parametrize(("slower", "late"), [(1.0, False), (1.9, False), (40.0, True)])
 def test_a_stage_that_takes_much_longer_than_it_should_is_stopped(slower: float, late: bool) -> None:
-    """Twice the time of the way and four seconds are given; half a millimetre at 2 mm/s is 0.25 s."""
     bench = Bench(slower)
     begun = bench.clock.now_ns()
     if not late:
@@ -192,7 +189,6 @@ def test_moving_away_is_allowed_under_any_force_that_does_not_rise() -> None:
 
 
 def test_moving_away_into_more_force_is_stopped() -> None:
-    """The stage's z is turned round: what leads up presses."""
     bench = Bench()
     bench.sensor.force_n = lambda: max(-bench.stage.position_m()[2] - 1e-3, 0.0) * STIFFNESS
     with pytest.raises(Tripped, match="turned round") as caught:

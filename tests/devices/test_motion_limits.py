@@ -22,7 +22,6 @@ def travel(top_speed_m_s: float = 1.0, low=LOW, high=HIGH, latency_s: float = 0.
 @pytest.mark.parametrize("force_s", [1e-9, 0.01, 0.1])
 @pytest.mark.parametrize("latency_s", [0.0, 0.01, 0.1])
 def test_the_fastest_speed_runs_on_by_just_what_is_allowed(latency_s: float, force_s: float) -> None:
-    """Counted here anew: it goes on at full speed until the force is known and the stage obeys."""
     stage, limits = travel(latency_s=latency_s), replace(LIMITS, force_latency_s=force_s)
     fastest = limits.fastest_m_s(stage)
     runs_on = fastest * force_s + fastest * latency_s + fastest**2 / (2 * 0.2)

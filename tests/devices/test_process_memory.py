@@ -57,6 +57,7 @@ def test_what_is_made_later_is_searched_as_ever(searched) -> None:
     assert there() is None
 
 
+@pytest.mark.slow
 def test_what_was_kept_for_a_while_is_found_once_that_is_over(searched) -> None:
     ring = Ring()
     there = weakref.ref(ring)
@@ -68,6 +69,7 @@ def test_what_was_kept_for_a_while_is_found_once_that_is_over(searched) -> None:
     assert there() is None
 
 
+@pytest.mark.slow
 def test_what_another_has_left_out_of_searches_stays_left_out(searched) -> None:
     keep_loaded()
     left_out = gc.get_freeze_count()

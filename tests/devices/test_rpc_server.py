@@ -133,7 +133,6 @@ def test_a_client_stops_while_thousands_of_silent_sockets_wait(tmp_path) -> None
 
 
 def test_clients_keep_coming_through_while_silent_sockets_keep_coming(tmp_path) -> None:
-    """50 clients, between silent sockets of which one is opened after the other."""
     server = RpcServer("one", status, lambda after: None, {"stop": lambda _: "stopped"}, {})
     token = encode_message({"token": server.token, "id": 0})
     ended = threading.Event()

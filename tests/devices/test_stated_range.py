@@ -14,10 +14,7 @@ RANGE = StiffnessRange((0.25, 8.0), (800.0, 800.0), (1250.0, 1250.0))
 
 
 def pressed(rng, gain: float, sending_s: float, depth_m: float = 4e-3) -> tuple[str, float]:
-    """Press in steps onto a spring; what was doubted, and how deep it was then [m].
-
-    The stage moves from when it is asked; the call that sends it returns `sending_s` later.
-    """
+    """Press in steps onto a spring; what was doubted, and how deep it was then [m]."""
     samples = air(rng)
     made = monitor(samples)
     made.new_tool(RANGE)

@@ -60,11 +60,7 @@ class Words:
 
 
 def read_words(line: str) -> Words:
-    """Read one line without its end.
-
-    Raises:
-        RefusalError: 1 a letter is missing, 2 a number cannot be read, 4 it is negative, 20 not known.
-    """
+    """Read one line without its end."""
     codes: list[str] = []
     numbers: dict[str, float] = {}
     text, at = line.upper().replace(" ", ""), 0

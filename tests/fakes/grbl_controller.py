@@ -235,7 +235,6 @@ class GrblController:
             self.power_up()
 
     def _serve(self) -> None:
-        """Get on with lines, until one has to wait; asleep or suspended, it reads none."""
         while not (self._sleeping or self._suspended or self._stranded):
             if self._work is None:
                 end = min((self._rx.find(c) for c in b"\r\n" if c in self._rx), default=-1)
@@ -284,7 +283,6 @@ class GrblController:
             self._delay(CANCEL)
 
     def _stop(self) -> None:
-        """0x19 of grblHAL."""
         if self._homing or self._sleeping:
             return
         self._rx.clear()
@@ -302,7 +300,6 @@ class GrblController:
             self._delayed.append((self._now_s + self.model.latency_s, byte))
 
     def _take_up(self, byte: int) -> None:
-        """A hold, a jog cancel or the door, when the firmware comes to it."""
         if self._alarm or self._homing or self._checking or self._sleeping:
             return
         jogging, hal = self._jogging and bool(self._axes.blocks), self._hal
@@ -342,7 +339,6 @@ class GrblController:
             self._take_up(DOOR)
 
     def _stop_dead(self) -> None:
-        """The counts stop at once; what is driven runs on by its momentum."""
         blocks = self._axes.blocks
         start, end = (blocks[0].start_mm, blocks[0].end_mm) if blocks else (NOWHERE, NOWHERE)
         speed, length = self._axes.clear(), math.dist(start, end)
@@ -352,7 +348,6 @@ class GrblController:
             self._slip_mm = add_mm(self._slip_mm, (x, y, z))
 
     def _forget(self) -> None:
-        """Undo what a reset undoes."""
         self._modes = Modes()
         self._rx, self._line = bytearray(), ""
         self._work = None
@@ -379,7 +374,6 @@ class GrblController:
         return self.model.firmware == "grblHAL"
 
     def _shows(self, field: int) -> bool:
-        """Whether $10 lets a field be reported."""
         return not self._hal or bool(int(self.settings[10]) & field)
 
     def _greet(self, *, dump: bool = False) -> None:

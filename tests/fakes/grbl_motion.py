@@ -70,11 +70,7 @@ class Axes:
             self.blocks.append(block)
 
     def clear(self) -> float:
-        """Drop all moves at once, where it is.
-
-        Returns:
-            The speed that was cut off [mm/s].
-        """
+        """Drop all moves at once, where it is."""
         self._stood_mm, speed = self.place_mm, self.speed_mm_s
         self.blocks.clear()
         self.speed_mm_s = self.along_mm = 0.0
@@ -105,7 +101,6 @@ class Axes:
                 return
 
     def _phase(self, seconds: float) -> float:
-        """Run on to the end of this phase of constant acceleration, or for `seconds`; how long that was."""
         a, v, block = self.acceleration_mm_s2, self.speed_mm_s, self.blocks[0]
         left = max(block.length_mm - self.along_mm, 0.0)
         top = min(

@@ -54,7 +54,6 @@ class FakeLabJack(Closing):
     """
 
     def __init__(self) -> None:
-        """Listen on a free port of this computer; nothing outside it can reach it."""
         self.fault: Fault = ""
         self.faults_left = -1
         self.fault_at: int | None = None
@@ -214,12 +213,10 @@ class FakeLabJack(Closing):
         return b"".join(words.get(address + i, b"\0\0") for i in range(n))
 
     def _input_v(self, i: int) -> float:
-        """Voltage at an input: 4.5 to 0.5 V at AIN0 over 10 mm, 1 to 5 V at AIN1 from 0 to 100 kPa."""
         sensors = {0: 4.5 - 400 * self.pushed_m, 1: 1.0 + 4 * self._breathe() / 100e3}
         return self.inputs_v.get(i, sensors.get(i, 0.0))
 
     def _breathe(self) -> float:
-        """Let the chamber follow the regulator up to now: dp/dt = (set-point - p) / lag."""
         now = time.monotonic()
         target = self.regulator_pa * struct.unpack(">f", self._kept(_DAC0, 2))[0] / 5
         left = math.exp(-(now - self._at) / self.lag_s) if self.lag_s else 0.0

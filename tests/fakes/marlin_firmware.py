@@ -261,7 +261,6 @@ class MarlinFirmware:
                 self._stop_dead()
 
     def _checked(self, line: str) -> str | None:
-        """The command of a line whose number and checksum are right, or that has none."""
         if not line.startswith("N"):
             return line
         body, star, told = line.rpartition("*")
@@ -280,7 +279,6 @@ class MarlinFirmware:
         self._say(f"Error:{why}, Last Line: {self._last_line}", f"Resend: {self._last_line + 1}", "ok")
 
     def _serve(self) -> None:
-        """Get on with lines, until one has to wait."""
         while self._work or self._queue:
             if self._work is None:
                 self._doing = self._queue.pop(0)
@@ -398,7 +396,6 @@ class MarlinFirmware:
         return f"X:{x:.2f} Y:{y:.2f} Z:{z:.2f} {extruder}Count {counts}"
 
     def _stop_dead(self) -> None:
-        """The steps stop at once; from above the jerk, what is driven runs on by its momentum."""
         self._stop_s = math.inf
         if not self._axes.blocks:
             return

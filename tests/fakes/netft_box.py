@@ -103,7 +103,6 @@ class FakeNetFT(Closing):
         torque: Callable[[float], Triple] = lambda t: (0.0, 0.0, 0.0),
         page: FakePage | None = None,
     ) -> None:
-        """Listen on two free ports of this computer; nothing outside it can reach them."""
         self.force, self.torque, self.page = force, torque, page or FakePage()
         self.requests: list[ReceivedRequest] = []
         self.pages_read = self.sent = 0

@@ -195,11 +195,7 @@ class UrController:
                 self._run.cut_s, self._run.brake = self.now_s + after_s, deceleration
 
     def stop_for_safety(self, *bits: int, mode: int = RUNNING) -> None:
-        """Stop by its own safety system; the programme ends.
-
-        [ur]: a protective stop is of category 2, an emergency stop of category 1, after which the arm has no
-        power. [src]: the library's programme no longer runs afterwards.
-        """
+        """Stop by its own safety system; the programme ends."""
         with self.lock:
             self.brake(PROTECTIVE_M_S2, 0.0)
             self.safety, self.mode, self.programme = sum(1 << bit for bit in (*bits, STOPPED)), mode, False
@@ -215,10 +211,7 @@ class UrController:
             self._booted_s, self._zero_s = 0.0, self.now_s
 
     def told(self) -> tuple[float, np.ndarray, float, int, int]:
-        """Timestamp, pose, speed, mode and safety of the newest status.
-
-        [ur]: a status a cycle, 125 a second. [src]: once the connection is cut, what came last stays.
-        """
+        """Timestamp, pose, speed, mode and safety of the newest status."""
         with self.lock:
             if self._told and (self.cut or self.faults.silent):
                 return self._told
@@ -256,7 +249,6 @@ class FakeReceive:
     """RTDEReceiveInterface of the library."""
 
     def __init__(self, controller: UrController, frequency: float = -1.0) -> None:
-        """[src]: raises where nothing answers."""
         if controller.cut:
             raise RuntimeError("Could not connect")
         self._arm, self._open, self.frequency = controller, True, frequency
@@ -302,7 +294,6 @@ class FakeControl:
     """RTDEControlInterface of the library."""
 
     def __init__(self, controller: UrController) -> None:
-        """[api]: uploads its programme, which takes the place of whatever ran."""
         if controller.cut or controller.faults.raises:
             raise RuntimeError("Could not connect")
         self._arm, self._open = controller, True
@@ -320,11 +311,7 @@ class FakeControl:
     def moveL(
         self, pose: list[float], speed: float = 0.25, acceleration: float = 1.2, asynchronous: bool = False
     ) -> bool:
-        """[api]: straight in the tool's space; returns at the end, or at once where asynchronous.
-
-        [src]: False, and no exception, where its programme has ended or it is in a protective or emergency
-        stop; False where the connection is cut.
-        """
+        """[api]: straight in the tool's space; returns at the end, or at once where asynchronous."""
         arm = self._arm
         with arm.call():
             arm.clock.sleep(arm.faults.taken_s)

@@ -40,7 +40,6 @@ class FakeVideoCapture:
     """
 
     def __init__(self, size_px: tuple[int, int] = (64, 48), rate_hz: float = 100.0, seed: int = 0) -> None:
-        """Make a camera that takes `rate_hz` frames a second from its first read on [Hz]."""
         self.refused: set[int] = set()
         self.kept: dict[int, float] = {}
         self.opens, self.frozen, self.unplugged = True, False, False

@@ -178,7 +178,6 @@ def stop_of(bench: PressBench, kind: str, go: Callable[[], None]) -> Stop:
 
 
 def _off_s(bench: PressBench, begun_s: float, ended_s: float) -> float | None:
-    """Time at which the newest force read first lies five standard deviations from the true one."""
     arrived = [(now_ns / NS_PER_S, one.force_n[2]) for now_ns, one in bench.seen.samples]
     zero_n = bench.bias.force_n[2]
     k, newest = 0, BIAS_N[2]

@@ -231,7 +231,6 @@ def test_a_stop_is_answered_while_the_taps_are_analysed_and_the_runs_frames_stay
 def _stopped_s(
     out: Path, small: StepHold, slow: SlowAnalysis, command: OperatorCommand, state: State, now_ns: int
 ) -> float:
-    """From the command, given while the analysis runs, until the recording tells that it has ended."""
     control, asked_s, told_s = OperatorControl(), [0.0], [0.0]
 
     def ask() -> None:

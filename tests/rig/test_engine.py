@@ -72,6 +72,7 @@ def test_depth_in_a_label_lies_a_threshold_above_the_truth(whole: Run) -> None:
     assert below_touch.between(0.08, 0.16).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("speed_mm_s", "taps"), [(1.0, 0), pytest.param(5.0, 3, marks=pytest.mark.slow)])
 def test_depth_counts_from_the_same_zero_in_a_sweep(tmp_path: Path, speed_mm_s: float, taps: int) -> None:
     middle = Listed(kind="listed", at_mm=((0.0, 0.0),))
@@ -184,6 +185,7 @@ WAYS = {
 
 
 @pytest.mark.parametrize("left", mostly_slow(list(WAYS), lambda i: i % 2 == 1))
+@pytest.mark.cases(1)
 def test_a_run_without_frames_is_begun_again_by_the_same_call(tmp_path: Path, left: str) -> None:
     out, small = tmp_path / "run", plan(cycles=1)
     begun(out)
@@ -211,7 +213,6 @@ def test_frames_of_an_unknown_plan_are_not_gone_on_with(tmp_path: Path) -> None:
 
 
 def test_frames_without_a_record_hold_up_nothing(tmp_path: Path) -> None:
-    """A kill may leave frames whose labels, and whose plan, were not on disk yet."""
     begun(tmp_path / "run", lambda writer: writer.frame(np.zeros((4, 4), np.uint8)))
     assert record(rig(), plan(cycles=1), tmp_path / "run").state is State.DONE
 
@@ -235,7 +236,6 @@ def test_the_plan_is_on_disk_before_anything_moves(tmp_path: Path, monkeypatch: 
 
 
 def test_a_run_whose_plan_event_is_damaged_goes_on(tmp_path: Path) -> None:
-    """The plan is told by its hash at the beginning of both files too."""
     control, out = OperatorControl(), tmp_path / "run"
 
     def watch(status: Status) -> None:
@@ -255,6 +255,7 @@ def test_a_run_whose_plan_event_is_damaged_goes_on(tmp_path: Path) -> None:
     assert sorted(keys(Run.open(out))) == sorted(wanted(small))
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_is_the_uninterrupted_one_shot_by_shot(whole: Run, tmp_path: Path) -> None:
     out = tmp_path / "run"
     for after in (2, 6, 7, 13, 99):

@@ -99,6 +99,7 @@ class FailsAtContact:
 
 
 @pytest.mark.parametrize("error_mm", [2.65, 4.0])
+@pytest.mark.cases(1)
 def test_a_retry_after_contact_in_the_first_approach_accepts_no_wrong_position(
     tmp_path: Path, error_mm: float
 ) -> None:
@@ -225,6 +226,7 @@ def test_a_reopened_rig_knows_where_it_was_left_or_refuses(lab: LabFile) -> None
     assert b"$J" not in bytes(lab.stage.received[before:]), "opening moves nothing"
 
 
+@pytest.mark.slow
 @pytest.mark.cases(1)
 def test_a_wrong_confirmation_meets_the_skin_at_search_speed(lab: LabFile, tmp_path: Path) -> None:
     ended_elsewhere(lab)
@@ -236,6 +238,7 @@ def test_a_wrong_confirmation_meets_the_skin_at_search_speed(lab: LabFile, tmp_p
     assert lab.deepest_mm <= STEP_MM + RUN_ON_MM + SPRING_MM  # type: ignore[attr-defined]
 
 
+@pytest.mark.slow
 def test_a_touch_off_finds_the_skin_and_the_position(lab: LabFile) -> None:
     ended_elsewhere(lab, z_mm=28.0)
     with pushed(lab), closing(open_rig(lab.write(), supervised=False, position="touch-off")) as opened:
@@ -247,6 +250,7 @@ def test_a_touch_off_finds_the_skin_and_the_position(lab: LabFile) -> None:
 
 @pytest.mark.parametrize("position", ["stored", "reference", "touch-off"])
 @pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.cases(2)
 def test_a_controller_of_another_scale_or_direction_than_the_rig_file_states_is_refused(
     lab: LabFile, position: PositionFrom, turned: bool
 ) -> None:

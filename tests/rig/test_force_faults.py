@@ -115,11 +115,6 @@ def test_on_the_palm_each_fault_stops_within_its_way_and_has_its_name(kind: str,
 @pytest.mark.parametrize("kind", NAMES)
 @pytest.mark.parametrize("indenter", ["rigid", "S3=1.1"])
 def test_on_the_tactip_too_at_5_mm_s_under_a_coarse_sensor(kind: str, phase: str, indenter: str) -> None:
-    """Noise of 0.02 N in steps of 1/16 N, a skin of 0.3 N/mm at first: five deviations are 0.45 mm deep.
-
-    There a pull is told from noise only when it is more than a step of the quantum; and that a force stands
-    still, only when it should have risen by more than one, which on a soft specimen is further.
-    """
     bench = tip(1, indenter)
     stop = stop_of(bench, kind, tip_until(bench, phase))
     assert stop.reason == NAMES[kind], bench.message
@@ -155,15 +150,19 @@ def test_a_gentle_touch_finds_a_wrong_sign_and_a_dead_sensor_before_any_press(ki
     assert stop.ran_n < 3 * bench.plan.threshold_N
 
 
-def test_healthy_presses_are_believed_on_lasting_skins_too() -> None:
-    for relaxation in ((), ((0.06, 0.2), (0.05, 5.0)), ((0.6, 0.1), (0.4, 2.0))):
-        bench = PressBench("palm", seed=2, variation=Variation(relaxation=relaxation))
-        bench.touch()
-        bench.stepped(3e-3, 0.25e-3, 0.2, back=True)
-        bench.stepped(2e-3, 1e-3, 1.0)
+@pytest.mark.parametrize("relaxation", [((0.6, 0.1), (0.4, 2.0)), ((0.06, 0.2), (0.05, 5.0)), ()])
+@pytest.mark.cases(1)
+def test_healthy_presses_are_believed_on_lasting_skins_too(
+    relaxation: tuple[tuple[float, float], ...],
+) -> None:
+    bench = PressBench("palm", seed=2, variation=Variation(relaxation=relaxation))
+    bench.touch()
+    bench.stepped(3e-3, 0.25e-3, 0.2, back=True)
+    bench.stepped(2e-3, 1e-3, 1.0)
 
 
 @pytest.mark.parametrize("waits_s", [0.05, 0.3])
+@pytest.mark.cases(1)
 def test_a_line_that_waits_for_its_answer_makes_no_healthy_force_look_dead(waits_s: float) -> None:
     """A controller may begin a move that late; until then no force is due to rise."""
     bench = palm(seed=3)
@@ -196,10 +195,10 @@ BLOCKED_S = [(0.0, 0.3), (0.5, 0.5), (0.0, 1.0)]
 
 
 @pytest.mark.parametrize(("before_s", "after_s"), BLOCKED_S)
+@pytest.mark.cases(1)
 def test_a_tool_that_gives_way_while_the_call_that_sends_the_stage_is_blocked_is_found_on_that_step(
     before_s: float, after_s: float
 ) -> None:
-    """No sample of the step has a way of its own: what the step rose by is held against its length."""
     bench = palm(seed=3)
     go = palm_until(bench, "press")
     block(bench, before_s, after_s)
@@ -215,7 +214,6 @@ def test_a_tool_that_gives_way_while_the_call_that_sends_the_stage_is_blocked_is
 def test_a_blocked_call_makes_no_force_of_a_lasting_skin_look_dead(
     before_s: float, after_s: float, relaxation: tuple[tuple[float, float], ...]
 ) -> None:
-    """What a skin loses, or gets back, before and after it was moved is no want of the move's."""
     bench = PressBench("palm", seed=2, variation=Variation(relaxation=relaxation))
     block(bench, before_s, after_s)
     bench.touch()
@@ -225,6 +223,7 @@ def test_a_blocked_call_makes_no_force_of_a_lasting_skin_look_dead(
 
 
 @pytest.mark.parametrize(("before_s", "after_s"), [(0.0, 0.3), (0.5, 0.5)])
+@pytest.mark.cases(1)
 def test_a_force_that_does_not_fall_on_a_blocked_way_back_is_found(before_s: float, after_s: float) -> None:
     bench = palm(seed=3)
     go = palm_until(bench, "retreat")
@@ -254,8 +253,8 @@ def test_an_untroubled_rig_completes_the_plans_that_come_with_palpate(
 
 
 @pytest.mark.parametrize("seed", [26, 31])
+@pytest.mark.cases(1)
 def test_what_the_first_moments_of_contact_rise_by_teaches_no_stiffness(seed: int) -> None:
-    """The mean that is looked at lags: what rises there belongs to a way that was not in contact."""
     design = sensor("palm")
     law = force_law(design, design.probe(design.default_probe))
     bench = PressBench("palm", seed=seed, variation=Variation())

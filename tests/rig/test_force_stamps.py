@@ -35,6 +35,7 @@ class BackdatedForce:
 
 
 @pytest.mark.parametrize("after_s", [1.0, 2.0, 3.0, 4.0])
+@pytest.mark.cases(1)
 def test_force_stamps_that_run_back_are_a_force_fault_and_the_probe_is_lifted(
     tmp_path: Path, after_s: float
 ) -> None:

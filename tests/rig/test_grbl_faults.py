@@ -70,7 +70,6 @@ class TestS1Banner:
             bench.open()
 
     def test_one_still_booting_when_asked_is_met_by_its_banner(self, grbl_bench):
-        """Deaf for longer than the first question's time, so that it goes unanswered."""
         booting = GrblParameters(boot_s=1.5, homing_s=0.0)
         bench = grbl_bench(booting, clock=MonotonicClock(), boot_s=0.0, **(REAL_TIME | {"reply_s": SOON_S}))
         bench.open(known=False).home()
@@ -185,7 +184,6 @@ class TestS8SilenceAfterAnAlarm:
 
 @pytest.mark.parametrize("lock", [1, 0])
 def test_s9_a_restart_by_itself_loses_the_position_until_it_is_found(grbl_bench, lock):
-    """With and without a lock at power-up; without one it would answer as if nothing had been."""
     limits = (
         {} if lock else {"least_m": (-0.1, 0.0, 0.0), "greatest_m": (0.0, 0.1, 0.1), "require_homed": False}
     )
@@ -423,7 +421,6 @@ class TestS17Stuck:
         is_lost(stage)
 
     def test_a_creeping_move_is_not_taken_for_a_stuck_one(self, grbl_bench):
-        """At 1 mm/min its report changes every 0.06 s only, yet it moves."""
         bench = grbl_bench(still_s=0.03)
         stage = bench.open()
         stage.move_to((-0.050, 0.050, 0.05004), 1.7e-5)

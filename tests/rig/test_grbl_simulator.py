@@ -9,10 +9,7 @@ import time
 from contextlib import ExitStack
 
 import pytest
-from tests.rig.grbl_talk import PATIENCE_S, Talk, fake, simulator
-
-from palpate.rig.real.grbl.grbl_stage import GrblStage
-from palpate.rig.real.grbl.grbl_supervisor import GrblSpec
+from tests.rig.grbl_talk import Talk, fake, simulator
 
 UNHOMED = ("$20=0", "$22=0", "$21=0", "$13=0", "$10=1")  # nothing to home against
 MOTION = ("$120=50", "$121=50", "$122=50", "$110=1200", "$111=1200", "$112=1200")
@@ -68,7 +65,6 @@ def test_a_dwell_says_idle(talk):
 
 
 def test_a_full_planner_answers_one_line_a_move(talk):
-    """20 moves: some 16 answers at once, the others as moves end."""
     talk.port.write(b"G21G91G94\n")
     talk.hear("ok$")
     began = time.monotonic()
@@ -122,38 +118,3 @@ def test_a_jog_is_cancelled_at_a_known_place(talk):
     talk.port.write(b"\x85")
     talk.until("Idle")
     assert talk.x_mm() < 29.0
-
-
-def test_the_driver_moves_stops_and_goes_on(path):
-    spec = GrblSpec(
-        path,
-        least_m=(-0.05,) * 3,
-        greatest_m=(0.05,) * 3,
-        require_homed=False,
-        boot_s=0.2,
-        reply_s=20.0,
-        still_s=20.0,
-        stop_s=20.0,
-    )
-    with GrblStage.open(spec) as stage:
-        stage.reference((0.0, 0.0, 0.0))
-
-        def arrive():
-            end = time.monotonic() + PATIENCE_S
-            while stage.moving():
-                assert time.monotonic() < end
-                time.sleep(0.02)
-
-        stage.move_to((0.001, -0.001, 0.0005), 0.01)
-        arrive()
-        assert stage.position_m() == pytest.approx((0.001, -0.001, 0.0005), abs=1e-5)
-        stage.move_to((0.040, -0.001, 0.0005), 0.01)
-        while stage.position_m()[0] < 0.003:
-            assert stage.moving()
-        stage.stop()
-        stopped = stage.position_m()
-        assert stopped[0] < 0.039
-        assert not stage.moving()
-        stage.move_to((0.001, -0.001, 0.0005), 0.02)
-        arrive()
-        assert stage.position_m() == pytest.approx((0.001, -0.001, 0.0005), abs=1e-5)

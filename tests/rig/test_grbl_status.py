@@ -16,7 +16,6 @@ from palpate.rig.real.grbl.grbl_link import GrblLink
 from palpate.rig.real.grbl.grbl_move import MoveSupervisor
 from palpate.rig.real.grbl.grbl_supervisor import GrblMachine, GrblSpec
 
-START = (-0.050, 0.050, 0.050)
 MODELS = {"Grbl 1.1h": GrblParameters(homed=True), "grblHAL": GrblParameters(firmware="grblHAL", homed=True)}
 SPOILT = {
     "lost": GrblFaults(lose_every=5),
@@ -132,7 +131,6 @@ def test_a_stage_silent_for_less_than_its_time_goes_on(grbl_bench):
 
 
 def test_a_silent_stage_that_takes_a_reset_keeps_its_place_and_can_be_lifted(grbl_bench):
-    """It stands when it is reset, says so by no alarm, and so has lost nothing."""
     bench = grbl_bench(MODELS["Grbl 1.1h"], silence_s=0.4)
     stage = bench.open()
     bench.move_to_speed(stage, (-0.030, 0.050, 0.050), 0.010)
@@ -154,7 +152,6 @@ def test_a_silent_stage_that_takes_a_reset_keeps_its_place_and_can_be_lifted(grb
 
 
 def test_reports_that_come_in_a_burst_are_not_taken_for_now(grbl_bench):
-    """Held back for a while on their way, they tell of before; only what was asked for later counts."""
     bench = grbl_bench(MODELS["Grbl 1.1h"], clock=MonotonicClock(), silence_s=30.0, still_s=60.0)
     stage = bench.open()
     link = stage._link
@@ -186,7 +183,6 @@ MACHINE = GrblMachine((250.0,) * 3, (1200.0,) * 3, (50.0,) * 3, (100.0,) * 3, Tr
 def test_between_reports_it_is_where_an_even_motion_has_it_never_back_and_never_beyond(
     length_mm, speed_mm_s, waits_s, first
 ):
-    """Against a motion integrated anew, in small steps."""
     target = (length_mm, 0.0, 0.0)
     move = MoveSupervisor((0.0, 0.0, 0.0), target, speed_mm_s * 60, MACHINE, 1.0, 0)
     time_s, told = round(first * 0.5, 3), 0.0

@@ -113,7 +113,6 @@ def test_twenty_stops_lose_no_step(stage):
 
 @pytest.mark.slow
 def test_stops_of_short_jogs_at_random_lose_no_position(stage):
-    """Many of these stops meet the end of their jog."""
     rng = random.Random(41)
     for _ in range(SHORT_JOGS):
         x_m = stage.position_m()[0]
@@ -126,7 +125,6 @@ def test_stops_of_short_jogs_at_random_lose_no_position(stage):
 
 @pytest.mark.cases(1)
 def test_a_door_command_in_a_jog_keeps_the_position(where):
-    """grblHAL stays in Jog, standing, until its own stop command."""
     with GrblStage.open(spec(where[0], still_s=3.0)) as stage:
         stage.reference((0.0, 0.0, 0.0))
         run_up(stage, (0.045, 0.0, 0.0))
@@ -227,7 +225,6 @@ def test_homing_that_is_switched_off_is_refused_by_name(stage):
 
 @pytest.mark.slow
 def test_homing_ends_homed_or_is_refused_with_the_place_unknown(where):
-    """A simulator without switches searches for long, and then says so."""
     path, _ = where
     with Talk(path) as talk:
         assert talk.send("$22=1")[-1] == "ok"
@@ -250,7 +247,6 @@ def test_a_target_outside_the_host_s_limits_is_never_sent(stage):
 
 
 def test_a_jog_beyond_the_firmware_s_own_travel_is_refused_without_an_alarm(where):
-    """grblHAL knows its travel once homed alone, which a simulator without switches is not."""
     path, firmware = where
     if firmware == "grblHAL":
         pytest.skip("grblHAL checks its travel once it is homed, and nothing here is")

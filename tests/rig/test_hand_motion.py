@@ -13,7 +13,6 @@ from tests.refusals import refused
 
 from palpate.core import NS_PER_S, DeviceError, Position, Wrench
 from palpate.core.errors import RangeError
-from palpate.devices import Mounting
 from palpate.devices.motion_limits import Reason, Tripped
 from palpate.rig.commissioning.first_touch import touch_twice
 from palpate.rig.commissioning.hand_motion import (
@@ -44,24 +43,6 @@ def jogged(rig: Rig, **given: Any) -> float:
 
 def devices(rig: Rig) -> tuple[Any, ...]:
     return rig.stage, rig.force, rig.mounting, rig.clock
-
-
-class Turned:
-    """The rig's force sensor, its axes permuted and turned round."""
-
-    def __init__(self, rig: Rig, mounting: Mounting) -> None:
-        self._sensor, self._mounting = rig.force, mounting
-        self.rate_hz, self.range_n = rig.force.rate_hz, rig.force.range_n
-
-    def latest(self) -> Wrench:
-        one = self._sensor.latest()
-        return replace(one, force_n=self._mounting.to_skin(one.force_n))
-
-    def drain(self) -> list[Wrench]:
-        return [replace(one, force_n=self._mounting.to_skin(one.force_n)) for one in self._sensor.drain()]
-
-    def close(self) -> None:
-        self._sensor.close()
 
 
 class Switched:
@@ -210,6 +191,7 @@ def test_a_zero_in_the_air_is_the_sensors_own_and_one_in_contact_is_refused() ->
 
 
 @pytest.mark.parametrize("locked", [False, True])
+@pytest.mark.cases(1)
 def test_homing_from_within_the_skin_first_lifts_into_the_air(locked: bool) -> None:
     rig = in_contact()
     stage = Switched(rig, locked=locked)
@@ -296,6 +278,7 @@ class Pushed:
 
 
 @pytest.mark.parametrize(("push_n", "end_s"), [(0.7, 4.0), (-5.0, 2.5), (20.0, 50.0)])
+@pytest.mark.cases(1)
 def test_a_push_by_hand_shows_that_the_sensor_responds_once_it_is_over(push_n: float, end_s: float) -> None:
     rig = virtual_rig()
     start_ns = rig.clock.now_ns()
@@ -389,7 +372,6 @@ class TurnedStage(Switched):
 def test_a_lift_that_leads_into_a_soft_skin_is_stopped_by_the_whole_change(
     n_m: float, most_mm: float
 ) -> None:
-    """By 1 N of compression since its start, or by the rig's limit where the sign is turned too."""
     rig = virtual_rig()
     rig.stage.move_to((0.0, 0.0, -0.2e-3), 5e-3)
     while rig.stage.moving():

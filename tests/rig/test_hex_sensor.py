@@ -57,7 +57,6 @@ class TestWhereASampleBegins:
 
     @pytest.mark.parametrize("axis", [0, 1, 2, 5])
     def test_a_load_that_could_be_a_temperature_is_told_apart_by_pauses_alone(self, axis):
-        """Read some floats off, 26 N are 26 deg C, and the temperature a force."""
         load = [0.0] * 6
         load[axis] = 26.0 if axis < 3 else 26e-3
         samples = read(HexBox(lambda t: tuple(load)), 0.2)

@@ -110,6 +110,7 @@ def killed_in_a_process(kills: int, folder: Path) -> dict[str, Any]:
     return json.loads(done.stdout)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="kills by another process's processor time")
 @pytest.mark.parametrize("kills", [4, pytest.param(1000, marks=pytest.mark.slow)])
 def test_a_run_killed_at_any_moment_goes_on_by_the_same_call_to_its_plan_exactly(
@@ -142,7 +143,6 @@ at_mm = [[0.0, 0.0], [4.0, 3.0]]
 
 @pytest.mark.slow
 def test_the_command_that_was_killed_goes_on_when_it_is_given_again(tmp_path: Path) -> None:
-    """Killed as soon as it has got so far: Python's start, the folder, its segment, its first frames."""
     out, file = tmp_path / "run", tmp_path / "tiny.toml"
     file.write_text(COMMAND_PLAN)
     words = [sys.executable, "-m", "palpate.cli", "record", "--rig", "virtual:palm", "--plan", str(file)]

@@ -14,7 +14,7 @@ import pytest
 from tests.fakes.netft_box import START, STOP, FakeNetFT, FakePage
 from tests.refusals import refused
 
-from palpate.core import ForceSensor, MonotonicClock, Wrench
+from palpate.core import MonotonicClock, Wrench
 from palpate.core.errors import DeviceError, RangeError
 from palpate.rig.real.netft.netft_sensor import NetFT, NetFTSettings
 from palpate.rig.real.netft.netft_stream import RdtStream
@@ -46,10 +46,6 @@ def box() -> Iterator[FakeNetFT]:
 def sensor(box: FakeNetFT) -> Iterator[NetFT]:
     with NetFT(box.host, settings(box)) as made:
         yield made
-
-
-def test_a_net_ft_is_a_force_sensor(sensor: NetFT) -> None:
-    assert isinstance(sensor, ForceSensor)
 
 
 def test_the_force_and_torque_that_act_are_measured(sensor: NetFT) -> None:

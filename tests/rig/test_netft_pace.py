@@ -67,7 +67,6 @@ def taught_in_time(sensor: NetFT) -> ForceMonitor:
 @pytest.mark.parametrize("heard_s", [0.0, pytest.param(3.0, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("sent_hz", [0.5 * HZ, 0.2 * HZ])
 def test_a_box_that_sends_slower_than_its_page_states_is_named_slow(sent_hz: float, heard_s: float) -> None:
-    """At once, and also after the driver has learnt to date its records, for which it takes a second."""
     with noisy_box() as box:
         box.sent_hz = sent_hz
         with connected(box) as sensor:

@@ -14,7 +14,6 @@ from palpate.core.sensor import for_rig, sensor
 from palpate.rig.plans import (
     PLANS,
     Grid,
-    Listed,
     Scattered,
     StepHold,
     plan_from,
@@ -32,12 +31,6 @@ def test_the_candidate_grid_is_clipped_by_membrane_and_probe(pitch_mm: float, po
     assert len(places) == points
     assert len({place.name for place in places}) == points
     assert all(math.hypot(p.x_mm, p.y_mm) + 5 <= 57 / 2 + 1e-9 for p in places)
-
-
-def test_the_palms_protocol_asks_for_231250_frames() -> None:
-    size = size_of(PLANS["palm"])
-    assert (size.points, size.presses, size.shots, size.frames) == (37, 185, 9250, 231_250)
-    assert size.reference_frames == 185 * 25
 
 
 @pytest.mark.parametrize("name", PLANS)
@@ -171,11 +164,6 @@ def test_a_plan_is_read_from_toml_and_says_which_file_is_wrong(tmp_path: Path) -
         plan_of(broken)
     with pytest.raises(InputError, match="palm-reduced"):
         plan_of("no-such-plan")
-
-
-def test_places_by_hand_stay_in_the_order_given() -> None:
-    places = Listed(kind="listed", at_mm=((1, 2), (0, 0))).places()
-    assert [(p.x_mm, p.y_mm) for p in places] == [(1, 2), (0, 0)]
 
 
 def test_a_plan_is_laid_on_the_outline_and_probe_of_its_sensor() -> None:

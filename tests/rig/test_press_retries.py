@@ -185,6 +185,7 @@ def test_a_force_that_is_not_zero_at_the_clearance_ends_the_run(tmp_path: Path) 
     assert stands_m <= -CLEARANCE_MM * 1e-3 + 1e-9
 
 
+@pytest.mark.slow
 def test_a_sweep_without_frames_for_a_while_is_repeated_and_its_frames_void(tmp_path: Path) -> None:
     swept = Ramp(
         name="ramp", kind="swept", places=PLACE, cycles=1, until_N=2.0, taps=0, clearance_mm=CLEARANCE_MM

@@ -306,6 +306,7 @@ class SmallForce:
         pass
 
 
+@pytest.mark.slow
 def test_a_client_that_goes_at_a_refusal_leaves_no_traceback(tmp_path: Path) -> None:
     fields = read_rig_fields(tmp_path)
     for _ in range(3):

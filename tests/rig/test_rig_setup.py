@@ -177,6 +177,7 @@ def test_a_walk_through_the_setup_finds_sign_surface_and_scale_and_ends_in_the_c
     assert any("firmware" in line for line in made.unchecked)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("answer", [{"still_there": False}, {"still_there": True}, {"hold_motors": True}])
 @pytest.mark.cases(1)
 def test_a_setup_of_a_stage_that_releases_its_motors_asks_before_it_believes_the_position(
@@ -253,6 +254,7 @@ class Leading(LabAnswers):
         return True
 
 
+@pytest.mark.slow
 def test_a_person_leads_the_probe_over_the_skin_in_steps_and_is_told_where_it_stands(tmp_path: Path) -> None:
     with lab() as one:
         given = answers_of(one, mass_g=0)._stated

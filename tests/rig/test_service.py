@@ -286,6 +286,7 @@ def test_a_client_that_reads_nothing_holds_nobody_up(quick):
         assert time.monotonic() - begun_s < 2.0
 
 
+@pytest.mark.slow
 def test_two_clients_see_and_drive_the_same_rig(quick, folder):
     client, _, _ = quick
     with RigClient(RIG, folder / "at") as other:
@@ -409,7 +410,6 @@ def test_an_emergency_stop_halts_a_press_in_time_and_nothing_moves_after(real, t
 
 @pytest.mark.slow
 def test_an_emergency_stop_brakes_a_fast_move_within_50_ms(real):
-    """It stands v/a later, which at 20 mm/s and 0.5 m/s^2 is the stage's own 40 ms."""
     client, _, rig = real
     client.plan(tiny())
     client.start("fast")

@@ -76,12 +76,14 @@ def test_a_press_within_the_stated_range_is_recorded(tmp_path: Path, seed: int) 
     assert abs(beyond_mm) < 0.15
 
 
+@pytest.mark.slow
 def test_without_a_stated_range_half_a_gain_goes_deeper_than_nominal(tmp_path: Path) -> None:
     outcome, beyond_mm = swept(tmp_path / "run", 0.5, stated=False)
     assert outcome.state is State.DONE
     assert beyond_mm > 0.5
 
 
+@pytest.mark.slow
 def test_a_range_from_a_run_finds_the_gain_that_changed_after_it(tmp_path: Path) -> None:
     def there(gain: float, clock_ns: int, **fields: Any) -> Any:
         sound = rig(variation=Variation(), clock=ManualClock(clock_ns), seed=3)
@@ -169,10 +171,6 @@ class TestFile:
         }
         assert there.weighed_on == "2026-11-28"
         assert there.retries == RetryLimits(1, 5, 0.5)
-
-    def test_what_it_leaves_out_is_the_documented_default(self) -> None:
-        there = self.opened()
-        assert (there.stiffness, there.weighed_on, there.retries) == ({}, "", RetryLimits(3, 20, 1.0))
 
     @pytest.mark.parametrize("wrong", [{"force_N": [2, 1]}, {"least_N_mm": [3, 2]}, {"greatest_N_mm": [2]}])
     def test_a_range_that_is_none_is_refused(self, wrong: dict[str, Any]) -> None:

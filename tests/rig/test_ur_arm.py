@@ -124,6 +124,7 @@ def around(stage: UrArmStage, half_m: float = 2e-3):
 
 @pytest.mark.parametrize("faults", [UrFaults(), UrFaults(noise_m=1.5e-6, noise_m_s=1e-4)])
 @pytest.mark.parametrize("rate_hz", [125.0])
+@pytest.mark.cases(1)
 def test_the_driver_conforms(opened, faults, rate_hz) -> None:
     rig, stage = opened(faults, rate_hz=rate_hz)
     assert isinstance(stage, Stage)
@@ -133,6 +134,7 @@ def test_the_driver_conforms(opened, faults, rate_hz) -> None:
 
 
 @pytest.mark.parametrize("faults", [UrFaults(deaf=True), UrFaults(late_s=0.3), UrFaults(aside_m=0.5e-3)])
+@pytest.mark.cases(1)
 def test_an_arm_that_stops_late_or_leaves_its_way_does_not_conform(opened, faults) -> None:
     rig, stage = opened(faults)
     assert any(not one.ok for one in check_stage(stage, clock=rig.clock, region_m=around(stage)))
@@ -534,6 +536,7 @@ class ArmSpring:
 
 
 @pytest.mark.parametrize("stop_n", [1.0, 3.0])
+@pytest.mark.cases(1)
 def test_a_guarded_press_of_an_arm_ends_at_its_force(opened, stop_n) -> None:
     rig, stage = opened(latency_s=0.02)
     limits = Limits((-0.04, -0.04, -0.04), (0.04, 0.04, 0.009), force_n=15.0)

@@ -14,7 +14,6 @@ from hypothesis import given, strategies as st
 from tests.fakes.video_capture import BLUE, FakeVideoCapture, frame_number
 from tests.refusals import refused
 
-from palpate.core import Camera
 from palpate.core.device_protocols import FrameSource
 from palpate.core.errors import DeviceError, RangeError
 from palpate.rig.real.uvc_camera import FrameWatch, UvcCamera, UvcSettings, device
@@ -67,11 +66,6 @@ def failure(camera: UvcCamera) -> str:
         except DeviceError as error:
             return str(error)
     pytest.fail("waited in vain")
-
-
-def test_a_uvc_camera_is_a_camera(camera: UvcCamera) -> None:
-    assert isinstance(camera, Camera)
-    assert (camera.rate_hz, camera.size_px) == (100.0, (64, 48))
 
 
 def test_a_frame_is_rgb_and_says_exposure_camera_and_time(camera: UvcCamera) -> None:

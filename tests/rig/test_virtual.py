@@ -205,7 +205,6 @@ def test_the_same_seed_makes_the_same_rig_and_another_does_not() -> None:
 
 
 def test_incidental_lateral_forces_are_of_the_size_of_the_reports() -> None:
-    """Standard deviation of 0.07 and 0.29 N over presses at all depths, without any lateral load."""
     from palpate.rig.virtual.disturbances import approach_of
 
     depths = np.arange(1, 51) * 1e-4

@@ -135,7 +135,6 @@ def test_trembling_hand_trembles_more() -> None:
 
 
 def test_live_pictures_of_the_palm_are_those_drawn_anew() -> None:
-    """All but the probe's own edge, which is drawn without soft edges: 1 in 100 pixels."""
     live = for_live(sensor("palm"))
     for depth_mm in (0.72, 3.43):
         contact, next_one = (

@@ -67,7 +67,6 @@ def test_force_position_and_area_of_a_press_are_those_of_its_contact(run: Run) -
 
 @pytest.mark.slow
 def test_the_camera_s_latency_is_told_by_taps(run: Run) -> None:
-    """A frame is stamped its transport after the end of its exposure, a force sample its own latency late."""
     late_s = TRANSPORT_S - LATENCY_S
     assert latency_s(run) == pytest.approx(late_s, abs=6e-3)  # an eighth of the camera's period
 
@@ -86,7 +85,6 @@ def test_seating_differs_from_press_to_press_and_not_before_a_touch(run: Run) ->
 
 @pytest.mark.slow
 def test_the_stiffness_of_a_specimen_is_read_from_a_recorded_run(tmp_path: Path) -> None:
-    """Five presses each: to 3 %, as from the same presses without a rig."""
     rig = virtual_rig("tactip", seed=1)
     assert record(rig, PLANS["tactip"], tmp_path / "run").state is State.DONE
     folder = export_presses(Run.open(tmp_path / "run"))

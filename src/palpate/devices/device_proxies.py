@@ -76,15 +76,10 @@ class _SamplerProxy(_Proxy[Sampler]):
 
     @property
     def rate_hz(self) -> float:
-        """Samples or frames a second, as the device states them [Hz]."""
         return self._inner.rate_hz
 
     def age_s(self) -> float | None:
-        """Age of the newest that was drained or grabbed [s]; None where nothing was.
-
-        How old it was when it came, by the rig's clock, and the real time since: a clock that is set by hand
-        stands still together with an engine that does.
-        """
+        """Age of the newest that was drained or grabbed [s]; None where nothing was."""
         if self._newest_came is None:
             return None
         came_s, late_s = self._newest_came
@@ -106,17 +101,14 @@ class ForceProxy(_SamplerProxy[ForceSensor]):
 
     @property
     def range_n(self) -> tuple[float, float, float]:
-        """Greatest force along each axis, as the device states it [N]."""
         return self._inner.range_n
 
     def latest(self) -> Wrench:
-        """The newest sample."""
         with self._noting_errors():
             self.newest = self._inner.latest()
         return self.newest
 
     def drain(self) -> list[Wrench]:
-        """All since the last call."""
         with self._noting_errors():
             samples = self._inner.drain()
         if samples:
@@ -150,14 +142,12 @@ class CameraProxy(_SamplerProxy[FrameSource]):
         return self._inner.size_px
 
     def grab(self, timeout_s: float = 1.0) -> tuple[int, Frame]:
-        """The next frame."""
         with self._turn, self._noting_errors():
             frame = self._inner.grab(timeout_s)
             self._keep([frame])
         return frame
 
     def drain(self) -> list[tuple[int, Frame]]:
-        """All since the last call."""
         with self._turn, self._noting_errors():
             frames = self._inner.drain()
             self._keep(frames)
@@ -215,11 +205,7 @@ class HeldProxy(_Proxy[Held]):
 
     @contextmanager
     def _ordering(self) -> Iterator[None]:
-        """Around an order that makes the device act.
-
-        Raises:
-            OperatorInterrupt: an emergency stop holds it.
-        """
+        """Around an order that makes the device act."""
         with self._sending:
             self._check_free()
             with self._noting_errors():
@@ -236,11 +222,9 @@ class StageProxy(HeldProxy[Stage]):
 
     @property
     def travel(self) -> Travel:
-        """Reach, speed and stopping, as the device states them."""
         return self._inner.travel
 
     def position_m(self) -> Position:
-        """Position now [m]."""
         with self._noting_errors():
             return self._inner.position_m()
 
@@ -254,11 +238,6 @@ class StageProxy(HeldProxy[Stage]):
             self._inner.move_to(position_m, speed_m_s)
 
     def moving(self) -> bool:
-        """True while it is under way.
-
-        Raises:
-            OperatorInterrupt: an emergency stop holds it: wherever it was sent, it does not arrive.
-        """
         self._check_free()
         with self._noting_errors():
             return self._inner.moving()
@@ -308,11 +287,9 @@ class PlainActuator:
 
     @property
     def travel(self) -> Travel:
-        """Reach, speed and stopping, as the device states them."""
         return self._inner.travel
 
     def position_m(self) -> Position:
-        """Position now [m]."""
         with driver_errors("the stage's driver failed"):
             return self._inner.position_m()
 
@@ -322,7 +299,6 @@ class PlainActuator:
             self._inner.move_to(position_m, speed_m_s)
 
     def moving(self) -> bool:
-        """Whether it is under way."""
         with driver_errors("the stage's driver failed"):
             return self._inner.moving()
 
@@ -340,7 +316,6 @@ class PlainForceSource:
 
     @property
     def rate_hz(self) -> float:
-        """Samples a second, of a sensor that states them [Hz]."""
         inner: Any = self._inner
         return float(inner.rate_hz)
 
@@ -350,12 +325,10 @@ class PlainForceSource:
         return float(getattr(self._inner, "delay_s", 0.0))
 
     def latest(self) -> Wrench:
-        """The newest sample."""
         with driver_errors("the force sensor's driver failed"):
             return _plain(self._inner.latest())
 
     def drain(self) -> list[Wrench]:
-        """All since the last call."""
         with driver_errors("the force sensor's driver failed"):
             return [_plain(one) for one in self._inner.drain()]
 

@@ -64,12 +64,7 @@ class ForceBias:
     noise_n: float = 0.0
 
     def measure(self, samples: Sequence[Wrench]) -> None:
-        """Set it from samples taken without contact.
-
-        Raises:
-            Tripped: fewer than `MIN_SAMPLES` good ones; the reason says whether the rest were faulty or
-                missing.
-        """
+        """Set it from samples taken without contact."""
         good = [one for one in samples if not one.fault]
         faults = {one.fault for one in samples if one.fault}
         if len(good) < MIN_SAMPLES and faults:

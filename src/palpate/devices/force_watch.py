@@ -56,20 +56,12 @@ class ForceWatch:
         self._recent: deque[tuple[int, float]] = deque()
 
     def check_size(self, size_n: float) -> None:
-        """Trip on too much force, in whatever direction.
-
-        Raises:
-            Tripped: force-limit; also on a force that is no number.
-        """
+        """Trip on too much force, in whatever direction."""
         if not size_n <= self._bounds.force_n:
             raise Tripped(Reason.FORCE_LIMIT, f"{size_n:.2f} N; {self._bounds.force_n:g} N are allowed")
 
     def check_rate(self, time_ns: int, normal_n: float) -> None:
-        """Trip on too fast a change, from the oldest force inside the window to this one.
-
-        Raises:
-            Tripped: force-rate.
-        """
+        """Trip on too fast a change, from the oldest force inside the window to this one."""
         window_ns = self._bounds.rate_window_s * NS_PER_S
         while self._recent and time_ns - self._recent[0][0] > window_ns:
             self._recent.popleft()
@@ -82,11 +74,7 @@ class ForceWatch:
             )
 
     def check_age(self, age_s: float) -> None:
-        """Trip on a sample that is too old.
-
-        Raises:
-            Tripped: force-stale.
-        """
+        """Trip on a sample that is too old."""
         if age_s > self._bounds.age_s:
             raise Tripped(
                 Reason.FORCE_STALE,

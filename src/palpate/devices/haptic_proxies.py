@@ -18,16 +18,11 @@ class DisplayProxy(HeldProxy[SoftnessDevice]):
         return self._inner.range
 
     def latest(self) -> DisplaySample:
-        """Its state now."""
         with self._noting_errors(), driver_errors(DISPLAY_FAILED):
             return self._inner.latest()
 
     def set_pressure(self, pressure_pa: float, rate_pa_s: float = 0.0) -> None:
-        """Hold a pressure, unless it is held.
-
-        Raises:
-            OperatorInterrupt: an emergency stop holds it.
-        """
+        """Hold a pressure, unless it is held."""
         with self._ordering(), driver_errors(DISPLAY_FAILED):
             self._inner.set_pressure(pressure_pa, rate_pa_s)
 
@@ -48,16 +43,11 @@ class ArmProxy(HeldProxy[HapticArm]):
         return self._inner.range
 
     def latest(self) -> ArmSample:
-        """Its state now."""
         with self._noting_errors(), driver_errors(ARM_FAILED):
             return self._inner.latest()
 
     def set_force(self, force_n: float) -> None:
-        """Push with a force, unless it is held.
-
-        Raises:
-            OperatorInterrupt: an emergency stop holds it.
-        """
+        """Push with a force, unless it is held."""
         with self._ordering(), driver_errors(ARM_FAILED):
             self._inner.set_force(force_n)
 

@@ -1,12 +1,8 @@
-"""Guarded motion: nothing moves on an old force, and nothing goes on moving past a limit.
+"""Guarded motion: nothing moves on an old force, and no motion continues past a limit.
 
-A move towards the skin is cut into short ones, one in flight at a time, so that a link that breaks can run on
-by one of them at most. While anything moves, the force sensor is read without pause; the stage is stopped on
-too much force, too fast a rise, an old or faulty sample, the operator's wish, or any failure at all. Once the
-air has taught what the sensor's noise is, it also stops on a force that no motion explains (`force_trust`):
-it listens for a moment more, at a stand, and names what is wrong.
-
-What passes meanwhile is published: the samples as they were drained, where the stage is, and each look.
+A move towards the skin is divided into short ones, one in flight at a time. During motion the stage stops on
+too much force, too fast a rise, an old or faulty sample, an operator command, any failure, or a force that no
+motion explains (`force_trust`). Subscribers receive the samples, the position, and each look.
 """
 
 from __future__ import annotations
@@ -145,11 +141,7 @@ class MotionGuard:
 
     @property
     def force_n(self) -> Force:
-        """The newest force, in the skin's axes [N].
-
-        Raises:
-            Tripped: it is old or faulty.
-        """
+        """The newest force, in the skin's axes [N]."""
         return self._bias.force(self.fresh())
 
     def skin_n(self, sample: Wrench) -> Force:
@@ -157,11 +149,6 @@ class MotionGuard:
         return self._bias.force(sample)
 
     def position_m(self) -> Position:
-        """Position of the stage [m].
-
-        Raises:
-            Tripped: it does not say.
-        """
         try:
             return self._stage.position_m()
         except DeviceError as e:
@@ -175,10 +162,6 @@ class MotionGuard:
 
         Args:
             stated_hz: samples a second that the sensor states [Hz].
-
-        Raises:
-            Tripped: too few good samples came, they repeat themselves, come too slowly, or are not what they
-                were at the last time.
         """
         samples = self.wait(max(AIR_S, AIR_PERIODS / stated_hz), judged=False)
         if len({(one.force_n, one.torque_nm) for one in _good(samples)}) == 1:
@@ -200,11 +183,7 @@ class MotionGuard:
         self.monitor.learn_press()
 
     def lift(self) -> None:
-        """Lift straight up to the clearance, if the probe is below it.
-
-        Raises:
-            Tripped: no clearance is stated; all that `away` raises.
-        """
+        """Lift straight up to the clearance, if the probe is below it."""
         if self.clearance is None:
             raise Tripped(Reason.PLAN, "a lift before anybody stated the clearance")
         x, y, z = self.position_m()
@@ -236,10 +215,6 @@ class MotionGuard:
             speed_m_s: how fast.
             until: of the force in the skin's axes; asked before each step and of every sample on the way.
             step_m: longest step; the limits' own where left out.
-
-        Raises:
-            Tripped: a limit, before or during the motion; the stage stands.
-            OperatorInterrupt: the operator's wish; the stage stands.
         """
         until = until or _never
         self._limits.check_sensor(self._sensor)
@@ -263,10 +238,6 @@ class MotionGuard:
         At a speed at which it may also move towards the skin, it stops on a force that is not believed.
         Faster, or after that, it goes on to its target whatever the sensor reads: away is where nothing is
         pressed.
-
-        Raises:
-            Tripped: the force rises on the way, or the stage fails.
-            OperatorInterrupt: an emergency stop; no other wish holds it up.
         """
         self._limits.check_target(target)
         start_n, up = self._last_force(), target[2] < self.position_m()[2] - LEVEL_M
@@ -311,11 +282,7 @@ class MotionGuard:
         return samples
 
     def interrupt(self, command: OperatorCommand) -> None:
-        """Stop a move at once that this command stops at the guard's next look; from another thread.
-
-        Raises:
-            DeviceError: the stage does not stop; the thread that moves it sees that as well.
-        """
+        """Stop a move at once that this command stops at the guard's next look; from another thread."""
         with self._turn:  # so that no lift begins meanwhile, which it would stop short
             if command in self._stoppable:
                 self._stage.stop()
@@ -446,12 +413,7 @@ class MotionGuard:
             raise _DoubtError(doubt)
 
     def _named(self, doubt: Doubt, after: Sequence[Wrench] = ()) -> Tripped:
-        """Stop, listen for a moment to what follows, and name it; from now on the force is not believed.
-
-        Args:
-            doubt: of the monitor.
-            after: samples that came already, from the doubted one on.
-        """
+        """Stop, listen for a moment to what follows, and name it; from now on the force is not believed."""
         self.halt()
         begun_ns, heard, listened_s = self._clock.now_ns(), list(after), 0.0
         while listened_s < LISTEN_S:
@@ -472,11 +434,7 @@ class MotionGuard:
                 raise self._named(self.monitor.gap(age_s))
 
     def fresh(self) -> Wrench:
-        """The newest sample.
-
-        Raises:
-            Tripped: it is older than the limits allow, or faulty.
-        """
+        """The newest sample."""
         asked_ns = self._clock.now_ns()  # before the call: a busy computer makes no sample old
         try:
             newest = self._sensor.latest()
@@ -537,11 +495,7 @@ class Subscribers(Generic[P]):
         self._callbacks.append(callback)
 
     def unsubscribe(self, callback: Callable[P, None]) -> None:
-        """Call it no more.
-
-        Raises:
-            ValueError: it has not subscribed.
-        """
+        """Call it no more."""
         self._callbacks.remove(callback)
 
     @contextmanager
@@ -554,11 +508,7 @@ class Subscribers(Generic[P]):
             self.unsubscribe(callback)
 
     def publish(self, *args: P.args, **kwargs: P.kwargs) -> None:
-        """Call all of them, also where one raises.
-
-        Raises:
-            Exception: the first that a callback raised; the others are noted on it.
-        """
+        """Call all of them, also where one raises."""
         errors: list[Exception] = []
         for callback in tuple(self._callbacks):
             try:

@@ -109,11 +109,7 @@ class Limits:
                 )
 
     def check_within(self, travel: Travel) -> None:
-        """Refuse soft limits that the stage cannot reach.
-
-        Raises:
-            RangeError: an axis whose soft limits lie outside its travel.
-        """
+        """Refuse soft limits that the stage cannot reach."""
         for i, axis in enumerate(AXES):
             if self.least_m[i] < travel.least_m[i] or self.greatest_m[i] > travel.greatest_m[i]:
                 raise RangeError(
@@ -128,9 +124,6 @@ class Limits:
 
         Args:
             range_n: greatest force along the skin's normal that it measures [N].
-
-        Raises:
-            RangeError: the limit lies above it.
         """
         if self.force_n > range_n:
             raise RangeError(
@@ -145,9 +138,6 @@ class Limits:
 
         Just before a sample arrives, the one before it is as old as the sensor's period and its own delay,
         `delay_s`, which a slow sensor states beside the protocol [s]. What states no rate is not judged.
-
-        Raises:
-            Tripped: says how old, and how old is allowed.
         """
         rate_hz, delay_s = getattr(sensor, "rate_hz", None), getattr(sensor, "delay_s", 0.0)
         if rate_hz is None or 1.0 / rate_hz + delay_s <= self.age_s:
@@ -160,11 +150,7 @@ class Limits:
         )
 
     def check_target(self, target: Position) -> None:
-        """Refuse a target outside the soft limits.
-
-        Raises:
-            Tripped: says which axis, where to, and what is allowed.
-        """
+        """Refuse a target outside the soft limits."""
         for axis, at, low, high in zip(AXES, target, self.least_m, self.greatest_m, strict=True):
             if not low <= at <= high:
                 raise Tripped(
@@ -186,11 +172,7 @@ class Limits:
         return min(travel.top_speed_m_s, a * (math.sqrt(tau**2 + 2 * self.overshoot_m / a) - tau))
 
     def check_speed(self, speed_m_s: float, travel: Travel) -> None:
-        """Refuse a speed towards the skin at which the probe would run on too far.
-
-        Raises:
-            Tripped: says how far it would, and how fast is allowed.
-        """
+        """Refuse a speed towards the skin at which the probe would run on too far."""
         if not (math.isfinite(speed_m_s) and speed_m_s > 0):
             raise Tripped(Reason.TOO_FAST, f"a speed of {speed_m_s} m/s; give a positive number")
         runs_on = self.runs_on_m(speed_m_s, travel)

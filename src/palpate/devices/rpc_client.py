@@ -65,12 +65,7 @@ class RpcClient(Closing):
         self._thread.join(CONNECT_S + AGAIN_S)
 
     def leave(self) -> int:
-        """Tell the process that this client goes soon; the number of clients that stay.
-
-        Raises:
-            DeviceError: the process is gone or does not answer.
-            InputError: the process is an older palpate's, which counts none.
-        """
+        """Tell the process that this client goes soon; the number of clients that stay."""
         return int(self.ask("leave"))
 
     def reached(self, within_s: float) -> bool:
@@ -82,11 +77,7 @@ class RpcClient(Closing):
         return True
 
     def wait_for(self, holds: Callable[[dict[str, Any]], object], timeout_s: float) -> dict[str, Any]:
-        """The first status of which something holds, of those told after whatever was asked last.
-
-        Raises:
-            DeviceError: none came in time.
-        """
+        """The first status of which something holds, of those told after whatever was asked last."""
         end_s = time.monotonic() + timeout_s
         while time.monotonic() < end_s:
             status = self.status
@@ -100,12 +91,7 @@ class RpcClient(Closing):
         )
 
     def ask(self, do: str, **fields: Any) -> Any:
-        """Ask for something, and wait for what came of it.
-
-        Raises:
-            DeviceError: the process is gone or does not answer.
-            PalpateError: as the process raised it.
-        """
+        """Ask for something, and wait for what came of it."""
         return self.send(do, ANSWER_S, **fields)()
 
     def send(self, do: str, timeout_s: float, **fields: Any) -> Callable[[], Any]:

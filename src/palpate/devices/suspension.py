@@ -30,11 +30,7 @@ class SleepWatch:
         self._before = slept()
 
     def look(self) -> None:
-        """Compare the clocks.
-
-        Raises:
-            Tripped: it slept since the last look; once for each time.
-        """
+        """Compare the clocks."""
         now, before = self._slept(), self._before
         self._before = now
         if now is not None and before is not None and now - before > ALLOWED_S:

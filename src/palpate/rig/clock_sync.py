@@ -1,11 +1,8 @@
-"""Taps before the first press, from which the frames' clock is set against the force's.
+"""Taps before the first press, which synchronize the clocks of frames and force.
 
-Pairing a frame with the force of its instant needs both clocks. A camera stamps a frame when it arrives and a
-force sensor its samples likewise, each late by its own way; a few short presses, seen by both, say by how
-much. It is done anew whenever a recording goes on, since a device that was opened again may run otherwise.
-
-The analysis of the taps runs in a thread of its own. Who waits for it goes on to look at force, camera and
-operator, so that a stop never waits for a computation.
+Each device stamps its data on arrival; a few short presses that both detect give the difference of their
+delays. Taps are repeated whenever a recording resumes. Their analysis runs in a thread, so that a stop never
+waits for it.
 """
 
 from __future__ import annotations
@@ -64,11 +61,7 @@ class ClockSync:
         self._last_ns = 0
 
     def tap(self) -> Offset:
-        """Tap, and say how far the frames run behind the force.
-
-        Raises:
-            Tripped: no contact, or the frames do not show the taps; and all that a guarded motion raises.
-        """
+        """Tap, and say how far the frames run behind the force."""
         drained(self._rig.camera)
         self._last_ns = self._rig.clock.now_ns()
         with self._guard.samples.subscribed(self._feel), self._guard.looks.subscribed(self._look):

@@ -1,11 +1,8 @@
-"""The engine: runs a plan on a rig, and keeps no progress but the recording.
+"""The engine: runs a plan on a rig; the recording is its only record of progress.
 
-A press that is interrupted, by a pause, a fault or a kill, is approached anew: lifted, tared, contact found
-again, down again under guard; only the frames that are missing are recorded. So nothing ever moves on from
-where it was left without testing the force.
-
-A transient fault, such as one late force sample, rejects the attempt: the probe is lifted, the force must be
-zero at the clearance, the gentle touch is repeated, and then the press, as often as `Rig.retries` allows.
+An interrupted press is repeated from the approach (lift, tare, contact, descent under guard), and only the
+missing frames are recorded. A transient fault, such as one late sample, rejects the attempt: the probe is
+lifted, the zero is checked, and the gentle touch and the press are repeated, up to `Rig.retries`.
 """
 
 from __future__ import annotations
@@ -219,17 +216,7 @@ class Engine:
                 attempt += 1
 
     def _reject(self, press: PlannedPress, attempt: int, fault: Tripped, before: int) -> None:
-        """Reject an attempt that a transient fault ended, and lift the probe so that it can be repeated.
-
-        Args:
-            press: that was attempted.
-            attempt: its number, from 1.
-            fault: that ended it.
-            before: number of approaches before this attempt; the frames of all later ones are void.
-
-        Raises:
-            Tripped: the fault, where it is not transient or no retry is left.
-        """
+        """Reject an attempt that a transient fault ended, and lift the probe so that it can be repeated."""
         if fault.reason not in TRANSIENT:
             raise fault
         retry = self._rig.retries.allow(fault.reason, attempt, self._retries)
@@ -259,11 +246,7 @@ class Engine:
         self._message = f"{press.place.name}, cycle {press.cycle}: rejected ({fault.reason.value}), repeated"
 
     def _verify_zero(self) -> None:
-        """After a rejected attempt: wait at the clearance, and verify that the force is zero there.
-
-        Raises:
-            Tripped: it is not, by more than noise and drift allow, or the fault persists.
-        """
+        """After a rejected attempt: wait at the clearance, and verify that the force is zero there."""
         if not self._unverified_s:
             return
         end_ns = self._rig.clock.now_ns() + round(self._unverified_s * NS_PER_S)
@@ -408,11 +391,7 @@ class Engine:
         return self._ended(State.FAILED, message, reason)
 
     def _lift_if_possible(self) -> str:
-        """Lift, whatever the reason to end: only a stage whose place is lost, or that is gone, stays.
-
-        Returns:
-            Why it was not lifted; empty where it was.
-        """
+        """Lift, whatever the reason to end: only a stage whose place is lost, or that is gone, stays."""
         watch, muted = self._watch, self._recorder.muted
         try:
             for _ in range(LIFTS - 1):

@@ -111,11 +111,7 @@ class TouchRecord:
             yield
 
     def stand(self) -> None:
-        """Record where the stage stands now.
-
-        Raises:
-            Tripped: it does not report its position.
-        """
+        """Record where the stage stands now."""
         self._at(self._guard.position_m(), self._clock.now_ns())
 
     def lag(self) -> ForceLag | None:

@@ -41,20 +41,12 @@ class LabelForce:
         guard.looks.subscribe(self._take_in)
 
     def tare(self) -> None:
-        """Take what it reads from now on, in the air, for its zero.
-
-        Raises:
-            Tripped: it measures nothing, or is gone.
-        """
+        """Take what it reads from now on, in the air, for its zero."""
         self.settle()
         self._bias_n += self.force_n()
 
     def settle(self) -> None:
-        """Wait until it has measured the stand that begins now.
-
-        Raises:
-            Tripped: it has not in time, or is gone.
-        """
+        """Wait until it has measured the stand that begins now."""
         self._stood_ns = begun_ns = self._clock.now_ns()
         delay_s = getattr(self._sensor, "delay_s", 0.0)
         due_s = delay_s + (FRESH + PERIODS) / self._sensor.rate_hz + LATE_S

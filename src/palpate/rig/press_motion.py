@@ -99,9 +99,6 @@ class PressMotion:
 
         Until contact was found where it is expected, the way aside is a guarded search as well, since the
         stage's position may be wrong, and contact may occur anywhere.
-
-        Raises:
-            Tripped: `TOUCHED_EARLY`, on contact above the clearance; all that a guarded motion raises.
         """
         self.lift()
         x, y, _ = _at(self._rig, x_m, y_m, 0.0)
@@ -136,12 +133,7 @@ class PressMotion:
             )
 
     def _prove_air(self) -> None:
-        """Lift a little, slowly, to see that the force stays the same; then take the zero.
-
-        Raises:
-            Tripped: `TOUCHED_EARLY`, where the force changed: the probe was in contact; `FORCE_NOISE`, where
-                contact cannot be told from the noise.
-        """
+        """Lift a little, slowly, to see that the force stays the same; then take the zero."""
         before, noise_n, before_n = self._mean_raw()
         lifted_mm = self._rise(CHECK_LIFT_MM)
         after, _, after_n = self._mean_raw()
@@ -165,10 +157,7 @@ class PressMotion:
         return (z - higher) / MM
 
     def _mean_raw(self) -> tuple[Force, float, float]:
-        """Mean force at a stand, without the zero; standard deviation of a sample and of the mean [N].
-
-        A noisy sensor is heard longer, so that its mean tells a contact that a quiet one would.
-        """
+        """Mean force at a stand, without the zero; standard deviation of a sample and of the mean [N]."""
         self._guard.look(judged=False)  # older samples belong to another position
         rate_hz = self._rig.force.rate_hz
         samples = self._guard.wait(max(AIR_S, AIR_SAMPLES / rate_hz), judged=False)
@@ -187,11 +176,6 @@ class PressMotion:
         """Measure the force sensor's zero, standing in the air.
 
         A zero far from the last one means that the probe touches something.
-
-        Raises:
-            Tripped: it does, or the sensor is too noisy for the plan's contact threshold, repeats itself,
-            comes
-                too slowly or is another one than before.
         """
         before = replace(self._bias)
         known = self._bias.noise_n > 0
@@ -218,13 +202,7 @@ class PressMotion:
             )
 
     def check_zero(self) -> float:
-        """Take a zero after a press, in the air: how far it moved since the one before the press [N].
-
-        Raises:
-            Tripped: `FORCE_DRIFT`, where it moved further than it may, or moves still, and `TOUCHED_EARLY`
-                where it is back higher up; the zero before the press is kept then. All that a tare raises
-                else.
-        """
+        """Take a zero after a press, in the air: how far it moved since the one before the press [N]."""
         before, limit_n = replace(self._bias), self._rig.limits.force_n
         heard: list[Wrench] = []
         try:
@@ -283,9 +261,6 @@ class PressMotion:
         Args:
             press: with the indenter that is mounted.
             new_tool: nothing is known of the stiffness that it meets.
-
-        Raises:
-            Tripped: it does not; all that a guarded motion raises.
         """
         self.distrust_position()
         self.over(press.place.x_mm * MM, press.place.y_mm * MM)
@@ -297,11 +272,7 @@ class PressMotion:
         self._recorder.event(TOUCH, place=press.place.name, **asdict(felt))
 
     def seek(self) -> None:
-        """Go down until the force says contact; that place is the press's zero.
-
-        Raises:
-            Tripped: contact at the clearance already, or none down to the plan's search depth.
-        """
+        """Go down until the force says contact; that place is the press's zero."""
         plan = self._plan
         x, y, _ = self._guard.position_m()
         if self._guard.force_n[2] > plan.threshold_N:
@@ -328,9 +299,6 @@ class PressMotion:
         """Expect contact where the search for it would end, within a ``with`` block that goes on to a depth.
 
         The press's zero is where the stage was when the force passed the threshold, between two looks.
-
-        Raises:
-            Tripped: nothing was felt down to there.
         """
         plan, z0 = self._plan, self._rig.origin_m[2]
         felt_ns: int | None = None

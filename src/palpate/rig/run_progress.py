@@ -36,12 +36,7 @@ class Recorder:
         self._ran_back = False
 
     def force(self, samples: Sequence[Wrench]) -> None:
-        """Record every good sample; faulty ones hold no numbers.
-
-        Raises:
-            Tripped: `FORCE_FAULT`, the first time that a stamp lies before the one that it follows; later
-                ones that do are left out, so that the probe can be lifted.
-        """
+        """Record every good sample; faulty ones hold no numbers."""
         for one in samples:
             if not one.fault and not self.muted and self._follows(one.time_ns):
                 force, torque = self._bias.force(one), self._bias.torque(one)

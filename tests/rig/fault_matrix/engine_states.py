@@ -60,7 +60,6 @@ def _last(rig: ObservedRig, step: type) -> bool:
 
 
 def _moves(rig: ObservedRig, call: str, step: type) -> bool:
-    """Whether it takes a step and may be moving; cheap, since it is asked at every call of a device."""
     return call == "stage.moving" and _last(rig, step)
 
 

@@ -248,7 +248,6 @@ class GrblRig(ObservedRig):
         return way
 
     def _played(self, times: Any) -> Any:
-        """True places at times, which the skin feels."""
         with self.terminal.lock:
             self.terminal.catch_up()
             log = self.firmware.log
@@ -263,7 +262,6 @@ class GrblRig(ObservedRig):
 
 
 def _way_after(log: list[tuple[float, Position]], at_s: float) -> tuple[float, float]:
-    """Way from a time until it stands, and the greatest speed on it and just before [mm, mm/s]."""
     way, speed = 0.0, 0.0
     for (before_s, a), (now_s, b) in pairwise(log):
         if now_s <= at_s - TICK_S:

@@ -73,13 +73,7 @@ class Cell:
 
 
 def run_cell(fault: RigFault, state: EngineState, seed: int = 3, *, goes_on: bool = True) -> Cell:
-    """Run one cell, in a folder of its own that is thrown away.
-
-    Args:
-        fault, state: which.
-        seed: of the rig.
-        goes_on: give the same command again afterwards; else that is not tested.
-    """
+    """Run one cell, in a folder of its own that is thrown away."""
     folder = Path(tempfile.mkdtemp(prefix="fault-matrix-"))
     try:
         run = _killed if fault.names == ("killed",) else _ended
@@ -116,7 +110,6 @@ def run_grbl_cell(fault: RigFault, state: EngineState, firmware: str, seed: int 
 
 
 def _set(rig: ObservedRig, fault: RigFault, state: EngineState) -> ObservedRig:
-    """The rig, set so that the fault comes in this state."""
     rig.due, rig.begin = state.due, lambda: fault.begin(rig)
     if state.pauses:
         asks = asks_pause()
@@ -152,7 +145,6 @@ def _name_of(error: BaseException, rig: ObservedRig) -> str:
 
 
 def _killed(fault: RigFault, state: EngineState, out: Path, seed: int) -> dict[str, Any]:
-    """The recording of a child, which tells what it measured just before it is killed."""
     reads, writes = os.pipe()
     child = os.fork()
     if child == 0:

@@ -233,12 +233,7 @@ class ObservedRig:
         self.unwatched_m.append(self.into_m(begun_s, self.truth.now_s, in_air=False))
 
     def into_m(self, from_s: float, to_s: float = math.inf, in_air: bool = True) -> float:
-        """True way towards the skin or along it, between two times [m].
-
-        Args:
-            from_s, to_s: between which [s].
-            in_air: also of moves down that end at the clearance or above it.
-        """
+        """True way towards the skin or along it, between two times [m]."""
         surface_m = self.rig.origin_m[2]
         clearance_m = surface_m - self.plan.clearance_mm * 1e-3
 
@@ -252,12 +247,7 @@ class ObservedRig:
         return self.way_m(from_s, to_s, counts)
 
     def shown_s(self, how: str) -> float | None:
-        """First time at which the fault shows [s]; None where it never does.
-
-        Args:
-            how: "force" when the newest force read lies far from the true one, "limit" when the true one
-                passes the limit, else when the fault says so, or began.
-        """
+        """First time at which the fault shows [s]; None where it never does."""
         assert self.began_ns is not None
         self._note_touches()
         if how == "limit":

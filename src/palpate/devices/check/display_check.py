@@ -304,10 +304,7 @@ def _watchdog_alone(trial: DisplayTrial) -> Part:
 
 
 def _after_silence(trial: DisplayTrial, *, looked_at: bool) -> float:
-    """Pressure that is left after a time without a new one [Pa].
-
-    It is read right after a release: until then a device may say by a fault that its watchdog ran out.
-    """
+    """Pressure that is left after a time without a new one [Pa]."""
     trial.display.release()
     trial.hold(trial.settle_s)
     trial.display.set_pressure(trial.pressure_pa)

@@ -145,11 +145,7 @@ class Walker:
         return x, y, z
 
     def here(self) -> Position:
-        """Position now [m]; the stage is stopped where that is outside the box.
-
-        Raises:
-            UnsafeError: it is.
-        """
+        """Position now [m]; the stage is stopped where that is outside the box."""
         place = self.stage.position_m()
         if not self.inside(place):
             self.stage.stop()
@@ -200,11 +196,7 @@ class Walker:
         return math.dist(self.here(), target)
 
     def look(self) -> None:
-        """Let the caller's watch look.
-
-        Raises:
-            UnsafeError: it raised; whatever it was, nothing may move any more.
-        """
+        """Let the caller's watch look."""
         try:
             self._watch()
         except Exception as e:

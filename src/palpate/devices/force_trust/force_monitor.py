@@ -1,25 +1,23 @@
-"""Monitor of a force sensor: whether what it reads can be the force of a probe that moves so.
+"""Monitor of a force sensor: whether its samples can be the force of a probe that moves as commanded.
 
-It learns in the air what the sensor's noise is, and in each press how force rises with depth; then every
-sample is held against the last ones and against the way that the stage was sent. All tests are of one sample
-at a time and cost a few comparisons. What it doubts, it says why; the name of the fault is found afterwards,
-at a stand, from the samples that follow (`fault_names`).
+The monitor learns the sensor's noise in air and the rise of force with depth in each press. It compares every
+sample with the previous ones and with the commanded travel. `fault_names` then names the fault from the
+samples at rest.
 
-| doubt | what is not believed |
+| plausibility fault | what is implausible |
 |---|---|
-| repeats | more equal samples in a row, on all six axes, than noise leaves to chance |
-| jump | a change from one sample to the next that no way in between explains |
-| pull | a probe on its way down that is pulled |
-| flat, steep | a force that rises less, or more, with depth than in the presses before |
+| repeats | more equal samples in a row, on all six axes, than noise explains |
+| jump | a change between two samples that no travel explains |
+| pull | a tensile force on the way down |
+| flat, steep | a force that rises less, or more, with depth than in earlier presses |
 | soft, stiff | a force that rises less, or more, with depth than the rig states |
 | holds | a force that does not fall on the way back |
-| lost | a contact that is gone though nothing moved away |
+| lost | contact that ends without motion away |
 | quiet | noise that has fallen |
-| late, gap | a sample that came after its turn; none at all |
-| rise, struck | a force that rises while the probe moves away, or to the clearance, however fast |
+| late, gap | a sample after its turn; no sample at all |
+| rise, struck | a force that rises while the probe moves away, or to the clearance |
 
-Sequential sums (Page 1954, doi:10.1093/biomet/41.1-2.100) find the first way over which force rose too
-little, wherever it began.
+Sequential sums (Page 1954, doi:10.1093/biomet/41.1-2.100) detect a rise that is too small, wherever it began.
 """
 
 from __future__ import annotations
@@ -130,9 +128,6 @@ class ForceMonitor:
     def learn_air(self, samples: Sequence[Wrench], stated_hz: float) -> None:
         """Learn noise, quantum and rate from good samples in the air; the press before is learnt from as
         well.
-
-        Raises:
-            Tripped: it comes too slowly, in bursts, repeats itself, or is not what it was at the last tare.
         """
         times = [one.time_ns / NS_PER_S for one in samples]
         check_pace(times, stated_hz)
@@ -382,11 +377,7 @@ class ForceMonitor:
         return self._doubt("repeats", f"{self._row} samples in a row are the same on all six axes")
 
     def _pressed_limit(self) -> int:
-        """Equal samples on the move that are no chance any more, of a coarse sensor that is pressed.
-
-        Its mean lies elsewhere between two steps than in the air: at a stand it may repeat one sample for as
-        long as it stands, which harms nobody. A stage that moves may begin `LAG_S` late.
-        """
+        """Equal samples on the move that are no chance any more, of a coarse sensor that is pressed."""
         due_n = self.corridor.least_n_m(self._level_n) * self._row_way_m
         air = self.air
         if air is None or due_n <= air.quantum_n:
@@ -467,10 +458,7 @@ class ForceMonitor:
             self._felt.append((force_n, rise_n, self._felt_step_m))
 
     def _outside(self, way_m: float, rise_n: float) -> Doubt | None:
-        """Hold the rise of force since contact began against the range of stiffness that the rig states.
-
-        A move in which contact begins before it was sent for certain does not count: its way is unknown.
-        """
+        """Hold the rise of force since contact began against the range of stiffness that the rig states."""
         least, greatest = self.corridor.stated_n_m(self._level_n)
         if not self._counts or least == 0:
             return None
@@ -516,10 +504,7 @@ class ForceMonitor:
         return self._level_n < max(HELD * self._noise_n, HELD_SHARE * self._turned_n)
 
     def _slack_n(self, noises: float, stiffness_n_m: float, early_s: float = 0.0) -> float:
-        """Force by which it may differ from a stiffness: noise, and what stage and sensor are late by [N].
-
-        The stage may have begun to move `early_s` before that was known [s].
-        """
+        """Force by which it may differ from a stiffness: noise, and what stage and sensor are late by [N]."""
         v, travel = self._speed, self._travel
         late_s = max(self.air.period_s if self.air else 0.0, self._limits.force_latency_s)
         slack_m = SLACK_M + v * (travel.latency_s + late_s + early_s) + v**2 / (2 * travel.acceleration_m_s2)

@@ -1,11 +1,8 @@
-"""Age of samples by the device's own counter: what was held back on its way is as old as it is.
+"""Age of samples by the device's own counter.
 
-A device counts its samples at an even rate, and the one that came fastest shows when counting began. Every
-other is late by what it came after its turn. The rate is learnt from the stamps of arrival over ever longer
-times; what is known of when counting began fades slowly, so that two clocks may run apart a little.
-
-A delay that was there from the beginning and never changes is no lateness here: nothing shows it but a
-comparison with another sensor, such as taps.
+A device counts its samples at an even rate; the sample with the least delay dates the counter, and the delay
+of every other is measured from its turn. The rate is estimated from arrival times and the offset decays
+slowly, to allow for clock drift. A constant delay is invisible here; taps measure it.
 """
 
 from __future__ import annotations

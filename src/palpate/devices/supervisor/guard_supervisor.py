@@ -1,12 +1,8 @@
 """Supervisor: owns stage and force sensor, moves them for one client, and stops and lifts without it.
 
-The client orders guarded moves and hears of every look on the way. It has to deal with what it hears: a look
-that lies unanswered for `MOVING_S` stops the motion. A client that says nothing for `STANDING_S` while the
-probe is below its clearance has died or hangs, and so has one whose pipe has ended. The probe is then lifted,
-by the same guard. Between orders the force is watched all the same, since the probe may stand in the skin.
-
-Two threads: one carries out orders and alone talks to the devices, but for a stop; one reads. Commands of the
-operator, and the client's wish to halt, act in the thread that reads, past whatever is going on.
+A look that the client leaves unanswered for `MOVING_S` stops the motion. If the client is silent for
+`STANDING_S` with the probe below its clearance, or its pipe ends, the guard lifts the probe. The force is
+monitored between orders too. One thread executes orders; another reads, and executes stops at once.
 """
 
 from __future__ import annotations
@@ -192,11 +188,7 @@ class GuardSupervisor:
         self._send({"id": order.get("id"), **_answer_of(work)})
 
     def _begin(self, order: Mapping[str, Any]) -> dict[str, Any]:
-        """A new run: nothing of the one before is known any more.
-
-        Raises:
-            OperatorInterrupt: an emergency stop holds the stage.
-        """
+        """A new run: nothing of the one before is known any more."""
         if self._stage.held:
             raise OperatorInterrupt(OperatorCommand.ESTOP)
         self._control, self._pending = OperatorControl(), None

@@ -141,11 +141,7 @@ class ProcessLink(Closing):
         return number
 
     def next_event(self, timeout_s: float) -> Message:
-        """The next that it tells: a look, or the reply to an order.
-
-        Raises:
-            ProcessGoneError: it is gone, or silent.
-        """
+        """The next that it tells: a look, or the reply to an order."""
         event = self._wait(self._events, timeout_s)
         if event is None:
             self._events.put(None)
@@ -153,12 +149,7 @@ class ProcessLink(Closing):
         return event
 
     def ask(self, do: str, **fields: Any) -> Any:
-        """Order something, from any thread, and wait for what comes of it.
-
-        Raises:
-            ProcessGoneError: it is gone, or does not answer.
-            PalpateError: as the process raised it.
-        """
+        """Order something, from any thread, and wait for what comes of it."""
         number, answer = next(self._numbers), SimpleQueue[Message | None]()
         self._waiting[number] = answer
         try:
@@ -168,10 +159,7 @@ class ProcessLink(Closing):
             self._waiting.pop(number, None)
 
     def _wait(self, queue: SimpleQueue[Message | None], timeout_s: float) -> Message | None:
-        """The next of a queue, as long as the process is heard at all; a device of it may be slow.
-
-        After the first silence nothing is waited for any more.
-        """
+        """The next of a queue, as long as the process is heard at all; a device of it may be slow."""
         begun_s = time.monotonic()
         while not self._silent:
             with suppress(Empty):

@@ -58,11 +58,7 @@ class SupervisedGuard:
 
     @property
     def force_n(self) -> Force:
-        """The newest force, in the skin's axes [N].
-
-        Raises:
-            Tripped: it is old or faulty.
-        """
+        """The newest force, in the skin's axes [N]."""
         with _as_tripped():
             return self._bias.force(self._sensor.latest())
 
@@ -71,7 +67,6 @@ class SupervisedGuard:
         return self._bias.force(sample)
 
     def position_m(self) -> Position:
-        """Position of the stage [m]."""
         return three(self._ask("position"))
 
     def tare(self, stated_hz: float) -> list[Wrench]:
@@ -157,11 +152,7 @@ class SupervisedGuard:
         return self._link.result_of(event)
 
     def _publish(self, event: Message, failed: BaseException | None) -> BaseException | None:
-        """Publish a look, and say that it was dealt with.
-
-        Returns:
-            The first failure of a subscriber; the supervisor was told to halt on it.
-        """
+        """Publish a look, and say that it was dealt with."""
         try:
             self._pass_on(event)
             self.looks.publish()

@@ -43,7 +43,6 @@ class SupervisedStage:
 
     @property
     def travel(self) -> Travel:
-        """Reach, speed and stopping, as the device states them."""
         facts = self._link.facts["travel"]
         return Travel(three(facts[0]), three(facts[1]), *(float(value) for value in facts[2:]))
 
@@ -53,7 +52,6 @@ class SupervisedStage:
         return str(self._link.ask("health"))
 
     def position_m(self) -> Position:
-        """Place now [m]."""
         return three(self._link.ask("position"))
 
     def move_to(self, position_m: Position, speed_m_s: float) -> None:
@@ -61,7 +59,6 @@ class SupervisedStage:
         raise DeviceError("a supervisor owns the stage; only its guarded moves move it")
 
     def moving(self) -> bool:
-        """Whether it is under way."""
         return bool(self._link.ask("moving"))
 
     def stop(self) -> None:
@@ -89,7 +86,6 @@ class SupervisedForce:
 
     @property
     def rate_hz(self) -> float:
-        """Samples a second, as the device states them [Hz]."""
         return float(self._link.facts["rate_hz"])
 
     @property
@@ -99,7 +95,6 @@ class SupervisedForce:
 
     @property
     def range_n(self) -> tuple[float, float, float]:
-        """Greatest force along each axis, as the device states it [N]."""
         return three(self._link.facts["range_n"])
 
     def latest(self) -> Wrench:
@@ -107,7 +102,6 @@ class SupervisedForce:
         return sample_of(self._link.ask("newest", judged=self.guarded))
 
     def drain(self) -> list[Wrench]:
-        """All since the last call."""
         if not self.guarded:
             return [sample_of(row) for row in self._link.ask("drain")]
         told, self._told = self._told, []

@@ -92,21 +92,13 @@ class Bench(Closing):
                 device.close()
 
     def need_stage(self) -> Stage:
-        """The stage.
-
-        Raises:
-            DeviceError: it is not open; says why.
-        """
+        """The stage."""
         if self.stage is None:
             raise DeviceError(self.failed.get("stage", f"the rig {self.name!r} has no [stage]"))
         return self.stage
 
     def check_may_home(self) -> None:
-        """Refuse to home a stage whose switches lie on the skin's side, unless its file says that it may.
-
-        Raises:
-            InputError: it is a Marlin stage without `home = true`.
-        """
+        """Refuse to home a stage whose switches lie on the skin's side, unless its file says that it may."""
         if isinstance(self.stage_part, MarlinPart) and not self.stage_part.home:
             raise InputError(
                 f"the rig {self.name!r} has a Marlin stage, whose homing can drive its tool down to the bed; "
@@ -116,11 +108,7 @@ class Bench(Closing):
             )
 
     def need_force(self) -> ForceSensor:
-        """The force sensor.
-
-        Raises:
-            DeviceError: it is not open; says why.
-        """
+        """The force sensor."""
         if self.force is None:
             raise DeviceError(self.failed.get("force", f"the rig {self.name!r} has no [force]"))
         return self.force
@@ -243,11 +231,7 @@ def stop_rig(rig: str) -> RigStop:
 
 @contextmanager
 def _held_alone(name: str, within_s: float) -> Iterator[None]:
-    """The right to supervise a rig, without which a stage must not be opened beside its supervisor.
-
-    Raises:
-        DeviceError: another process has it, and does not let go in time.
-    """
+    """The right to supervise a rig, without which a stage must not be opened beside its supervisor."""
     end_s = time.monotonic() + within_s
     held: AbstractContextManager[Any] = nullcontext()
     while True:

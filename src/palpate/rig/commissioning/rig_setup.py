@@ -245,16 +245,7 @@ def _guarding_scale(made: SetUp) -> None:
 
 
 def _ask_scale(made: SetUp, name: str) -> dict[str, Any]:
-    """Fields of a serial scale, which is tried, and the force of one count where it prints counts.
-
-    Args:
-        made: for the questions.
-        name: begins the names of its answers, "force" or "label".
-
-    Raises:
-        InputError: an answer that is not one, or a weight that was not felt.
-        DeviceError: no scale answers.
-    """
+    """Fields of a serial scale, which is tried, and the force of one count where it prints counts."""
     ask, ports = made.answers, [port for port in serial_ports() if port != made.fields["stage"]["port"]]
     part: dict[str, Any] = {"kind": "serial-scale", "axes": ["x", "y", "z"]}
     part["port"] = ask.text(f"{name}_port", "Port of the scale", ports[0] if ports else None)

@@ -51,20 +51,14 @@ class Answers:
     @classmethod
     @parser("setup answers", InputError)
     def read(cls, path: Path, *, yes: bool = False, read: Callable[[str], str] | None = None) -> Answers:
-        """Read a TOML file, one answer a line.
-
-        Raises:
-            InputError: there is none, or it is not TOML.
-        """
+        """Read a TOML file, one answer a line."""
         if not path.is_file():
             raise InputError(f"there is no file of answers {str(path)!r}")
         return cls(read_toml(path), yes=yes, read=read)
 
     def ask(self, name: str, question: str, proposal: Any = None, *, words: bool = False) -> Any:
-        """The answer of this name; a person's lists, true and numbers are JSON, unless words are asked for.
-
-        Raises:
-            InputError: there is none.
+        """The answer of this name; a person's lists, true and numbers are JSON, unless words
+        are asked for.
         """
         self.asked.append(name)
         if name in self._stated:

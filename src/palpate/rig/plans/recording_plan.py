@@ -212,11 +212,7 @@ class RecordingPlan(BaseModel):
         return self
 
     def on(self: AnyPlan, sensor: Sensor) -> AnyPlan:
-        """The same plan for a sensor: its outline and its probe where the plan gives none.
-
-        Raises:
-            InputError: an indenter is wider than the probe that places are clipped for.
-        """
+        """The same plan for a sensor: its outline and its probe where the plan gives none."""
         fields: dict[str, Any] = {"places": self.places.laid_on(sensor)}
         if "indenters" not in self.model_fields_set:
             fields["indenters"] = (sensor.default_probe,)

@@ -66,12 +66,7 @@ class GcodeStage(Closing):
         self._shift(-distance_m, speed_m_s)
 
     def approach(self, distance_m: float, speed_m_s: float) -> None:
-        """Start one step of a search for the skin, and return at once, also before its place is known.
-
-        Raises:
-            RangeError: the distance is not above 0 m, or above `MAX_APPROACH_M`.
-            DeviceError: as `retreat`.
-        """
+        """Start one step of a search for the skin, and return at once, also before its place is known."""
         if not 0.0 < distance_m <= MAX_APPROACH_M:
             raise RangeError(f"an approach by {distance_m} m; above 0 m and at most {MAX_APPROACH_M} m")
         self._shift(distance_m, speed_m_s)

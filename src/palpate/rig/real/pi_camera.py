@@ -32,10 +32,6 @@ class PiCamera(Closing):
             settings: size, rate and exposure; its pixels, white balance and further controls have no meaning
                 here.
             number: of the camera, from 0.
-
-        Raises:
-            MissingExtraError: picamera2 is not installed.
-            DeviceError: there is no such camera, or it is in use.
         """
         self._settings = settings or UvcSettings()
         self._new, self._closing = Condition(), Event()
@@ -55,7 +51,6 @@ class PiCamera(Closing):
 
     @property
     def rate_hz(self) -> float:
-        """Frames a second that it is set to [Hz]."""
         return self._settings.rate_hz
 
     @property
@@ -64,11 +59,7 @@ class PiCamera(Closing):
         return self._settings.size_px
 
     def grab(self, timeout_s: float = 1.0) -> tuple[int, Frame]:
-        """The next frame exposed wholly after this call, and when its exposure ended [ns].
-
-        Raises:
-            DeviceError: none came in time, or it has failed, and why.
-        """
+        """The next frame exposed wholly after this call, and when its exposure ended [ns]."""
         asked_ns = time.monotonic_ns() + round(self._settings.exposure_s * NS_PER_S)
         with self._new:
             came = self._new.wait_for(
@@ -81,11 +72,6 @@ class PiCamera(Closing):
             return newest
 
     def drain(self) -> list[tuple[int, Frame]]:
-        """Frames since the last call or `grab`, oldest first.
-
-        Raises:
-            DeviceError: it has failed, and why.
-        """
         with self._new:
             if self._failure:
                 raise DeviceError(self._failure)

@@ -140,11 +140,7 @@ class PositionStore:
         self.lost = PositionFault.NO_RECORD
 
     def recall(self, found: PositionEvidence) -> StoredPosition:
-        """Return the stored position, and keep it up to date from now on.
-
-        Raises:
-            PositionUnknownError: The evidence is not complete; its `code` is a `PositionFault`.
-        """
+        """Return the stored position, and keep it up to date from now on."""
         stored = self._read()
         fault = position_fault(stored, found)
         if fault is not None or stored is None:

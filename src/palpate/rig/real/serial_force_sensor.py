@@ -70,7 +70,6 @@ class SerialForceSensor(Closing):
             raise
 
     def latest(self) -> Wrench:
-        """The newest sample. See `palpate.core.ForceSensor`."""
         with self._lock:
             self._refuse_failed()
             if self._latest is None:
@@ -78,7 +77,6 @@ class SerialForceSensor(Closing):
             return self._latest
 
     def drain(self) -> list[Wrench]:
-        """Samples since the last call, oldest first. See `palpate.core.ForceSensor`."""
         with self._lock:
             self._refuse_failed()
             if self._overflowed:

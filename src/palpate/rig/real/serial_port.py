@@ -38,9 +38,6 @@ class HeldPort:
 
         A write counts as late only if the port takes nothing for `WRITE_S`. pyserial also raises where this
         computer stood still for as long, although all bytes have gone.
-
-        Raises:
-            OSError: the port takes no byte, or failed.
         """
         handle = getattr(self._port, "fd", None)
         if os.name != "posix" or handle is None:

@@ -279,9 +279,6 @@ class UvcCamera(Closing):
             settings: how it shall take its frames.
             clock: stamps the frames.
             opener: makes the source for a path or a number; another one stands in for a camera in tests.
-
-        Raises:
-            DeviceError: there is no such camera, it is in use, refuses a setting, or sends no frame.
         """
         self._name, self._settings = str(address), settings or UvcSettings()
         self._clock = clock or MonotonicClock()
@@ -311,7 +308,6 @@ class UvcCamera(Closing):
 
     @property
     def rate_hz(self) -> float:
-        """Frames a second that it is set to [Hz]."""
         return self._settings.rate_hz
 
     @property
@@ -347,10 +343,6 @@ class UvcCamera(Closing):
         """The next frame exposed wholly after this call, and when its exposure ended [ns].
 
         The time is that of arrival less the settings' delay; it never goes backwards.
-
-        Raises:
-            RangeError: the time-out is not a number of seconds.
-            DeviceError: none came in time, or the camera has failed, and why.
         """
         if not 0 < timeout_s < math.inf:
             raise RangeError(f"timeout_s is {timeout_s}; give a number of seconds greater than 0")

@@ -95,11 +95,7 @@ class StiffnessPart(Part):
         return self
 
     def range(self) -> StiffnessRange:
-        """Convert to SI.
-
-        Raises:
-            InputError: no increasing forces, or an empty range.
-        """
+        """Convert to SI."""
         per_m = 1 / MM
         least, greatest = (tuple(n * per_m for n in one) for one in (self.least_N_mm, self.greatest_N_mm))
         try:

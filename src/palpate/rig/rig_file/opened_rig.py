@@ -419,21 +419,17 @@ class ScaledForce:
 
     @property
     def rate_hz(self) -> float:
-        """Samples a second."""
         return self._sensor.rate_hz
 
     @property
     def range_n(self) -> tuple[float, float, float]:
-        """Greatest force along each axis [N]."""
         x, y, z = (self.scale * force for force in self._sensor.range_n)
         return x, y, z
 
     def latest(self) -> Wrench:
-        """The newest sample. See `palpate.core.ForceSensor`."""
         return self._scaled(self._sensor.latest())
 
     def drain(self) -> list[Wrench]:
-        """All samples since the last call. See `palpate.core.ForceSensor`."""
         return [self._scaled(one) for one in self._sensor.drain()]
 
     def close(self) -> None:

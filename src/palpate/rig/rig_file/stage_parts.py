@@ -227,12 +227,7 @@ class UrArmPart(Part):
         return self
 
     def spec(self) -> UrArmSpec:
-        """Specification of the arm, in SI.
-
-        Raises:
-            InputError: the rotation is none, or the tool does not point into the skin.
-            RangeError: the box is empty.
-        """
+        """Specification of the arm, in SI."""
         from palpate.rig.real.ur_arm import ArmFrame, UrArmSpec
 
         return UrArmSpec(
@@ -274,11 +269,7 @@ def _given(part: GrblPart | MarlinPart, *names: str) -> dict[str, Any]:
 def _placed(
     stage: GrblStage | MarlinStage, part: GrblPart | MarlinPart, position: PositionFrom
 ) -> GrblStage | MarlinStage:
-    """Take the stage's position; the stage is closed where that fails.
-
-    A stage whose stored position is not accepted stays open, so that it can be homed; it raises the reason
-    wherever its position is asked for.
-    """
+    """Take the stage's position; the stage is closed where that fails."""
     try:
         if position != "nowhere":
             _check_scale(stage, part)

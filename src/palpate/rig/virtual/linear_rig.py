@@ -146,11 +146,7 @@ class LinearRig:
         return q * np.rint(place_m / q) if q > 0 else np.array(place_m)
 
     def ticks_in(self, rate_hz: float) -> int:
-        """Ticks of the control between two samples of a rate.
-
-        Raises:
-            InputError: it is not a whole number.
-        """
+        """Ticks of the control between two samples of a rate."""
         ticks = round(self.control_hz / rate_hz)
         if ticks < 1 or not math.isclose(ticks * rate_hz, self.control_hz):
             raise InputError(

@@ -40,7 +40,6 @@ class VirtualCamera:
 
     @property
     def rate_hz(self) -> float:
-        """Frames a second."""
         return self._rate_hz
 
     @property

@@ -51,12 +51,10 @@ class VirtualForce:
 
     @property
     def rate_hz(self) -> float:
-        """Samples a second."""
         return self._world.rate_hz
 
     @property
     def range_n(self) -> tuple[float, float, float]:
-        """Range to either side [N]."""
         return self._range_n
 
     def latest(self) -> Wrench:

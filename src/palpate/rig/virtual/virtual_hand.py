@@ -1,13 +1,8 @@
-"""A person's hand that presses a probe into a virtual sensor: no stage, no plan, random places and forces.
+"""Simulated hand that presses a probe into a virtual sensor: no stage, no plan, random positions and forces.
 
-The hand feels how hard it presses, and so drives force: each press goes to a random place, ramps up to a
-random force, holds it for about a second with the tremor and the slow wandering of a hand, and lets go. What
-it does is known beforehand at every instant, so that it is the same in real time and faster. All sizes are
-assumed: physiological tremor lies at 8 to 12 Hz, and a held force wanders by one to a few per cent.
-
-Two things are left out so that a press can be drawn at the camera's own rate. The skin is the relaxed one,
-without memory of how fast it was pressed or of earlier presses. And the probe does not stick: a slip moves
-the contact along the skin and eases the force, but no lateral load is felt or drawn.
+Each press ramps up to a random force, holds it for about a second with tremor (8 to 12 Hz) and slow drift
+(one to a few percent), and lets go. All sizes are assumed. The motion is a fixed function of time. The skin
+has no memory, and a slip moves the contact and reduces the force without a lateral load.
 """
 
 from __future__ import annotations

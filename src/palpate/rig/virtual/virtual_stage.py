@@ -20,11 +20,9 @@ class VirtualStage:
 
     @property
     def travel(self) -> Travel:
-        """Travel of the stage."""
         return self._world.travel
 
     def position_m(self) -> Position:
-        """Place now [m]."""
         self._check_there()
         return self._world.stand_at()
 
@@ -51,7 +49,6 @@ class VirtualStage:
             world.move(Motion(start, position_m, speed_m_s, travel.acceleration_m_s2, world.now_s))
 
     def moving(self) -> bool:
-        """Whether the last move is still under way."""
         self._check_there()
         if self._world.faults.on("stage-stuck", self._world.clock.now_ns()):
             return True

@@ -348,10 +348,7 @@ class World:
         return touches
 
     def _beyond_the_rim(self, relative: Float[ndarray, "n 3"]) -> Series:
-        """Descent of a round probe that touches the rim's edge beside it; far where it passes it.
-
-        That the edge yields more easily than the middle is left out.
-        """
+        """Descent of a round probe that touches the rim's edge beside it; far where it passes it."""
         R = self._own_radius_m
         beyond = self.outline.beyond_m(relative[:, 0], relative[:, 1])
         if not beyond.any():

@@ -1,13 +1,8 @@
-"""The conversation with a GRBL controller: one line in flight, one thread that reads and one that asks.
+"""Serial link to a GRBL controller: one line in flight, one thread that reads and one that requests status.
 
-An answer carries no name, so what was heard before a line was sent never counts as its answer, and after a
-line went unanswered nothing counts until a reset and its banner. Status is asked for on a period, and sooner
-where somebody waits for it: a question or a report that is lost on its way costs one period, since the next
-report is as good. Waiting here is in real time: it bounds what the wire may take. Nothing here knows of
-positions.
-
-Reference: that Grbl 1.1h loses a question that comes while it prints, and that an answer can be late by
-seconds on a busy host, was observed.
+Answers carry no name, so nothing received before a line was sent is its answer, and after an unanswered line
+nothing counts until a reset and its banner. Status is requested periodically, so a lost report costs one
+period. Grbl 1.1h was observed to lose requests while it prints and to answer seconds late on a busy host.
 """
 
 from __future__ import annotations
@@ -108,12 +103,6 @@ class GrblLink(GcodeLink):
 
         Returns:
             What was pushed between the line and its answer.
-
-        Raises:
-            RefusedError: the answer was `error:N`.
-            SilenceError: there was none; the link is out of step until `reset`.
-            CutOffError: `halt` was called, or the controller started anew.
-            DeviceError: the link is gone, or the line is too long.
         """
         if len(line) > MAX_SENT or not line.isascii():
             raise DeviceError(f"{line[:40]!r} has more than {MAX_SENT} characters and would not be read")

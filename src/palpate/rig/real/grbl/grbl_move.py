@@ -78,11 +78,7 @@ class MoveSupervisor:
         self.place_mm, self.at_ns = place_mm, at_ns
 
     def arrived(self, status: GrblStatus) -> bool:
-        """Whether it is at its end, by the report that was noted last.
-
-        Raises:
-            DeviceError: it is held, stands elsewhere, or says that it moves and does not.
-        """
+        """Whether it is at its end, by the report that was noted last."""
         idle = status.state is GrblState.IDLE
         if idle and self.left_mm() <= self.tolerance_mm and self.at_ns - self._began_ns >= self._soonest_ns:
             return True

@@ -98,9 +98,6 @@ class GrblSession:
 
         Returns:
             None where none has come yet that counts.
-
-        Raises:
-            DeviceError: the stage is gone, locked, or off its way.
         """
         self.check_alarm()
         near = move.near_end(self.clock.now_ns(), _NEAR_PERIODS * self.spec.status_s)
@@ -185,11 +182,7 @@ class GrblSession:
         self.keep_marked()
 
     def recall(self) -> None:
-        """Take its place from the last session.
-
-        Raises:
-            PositionUnknownError: the evidence is not complete.
-        """
+        """Take its place from the last session."""
         _, place_mm = self.standing()
         said = self.link.command("$G")
         modal = " ".join(one.text for one in said if isinstance(one, GrblMessage) and one.tag == "GC")
@@ -274,10 +267,6 @@ class GrblSession:
 
         A jog cancel that meets the end of its jog leaves grblHAL Idle, suspended, and deaf to lines. Its
         stop command, 0x19, then clears the suspended hold, so that the reset after it keeps the position.
-
-        Raises:
-            HardwareStopError: it stands, and its door input is open. The position is kept.
-            PositionLostError: it stands, and where is not known any more.
         """
         lost_before, move, sent = self.lost, self.move, self.link.restless
         # Homing ignores all but a reset, and answers nothing until it ends.
@@ -339,13 +328,7 @@ class GrblSession:
         return True
 
     def _await_stand(self, cancelled: bool) -> tuple[GrblStatus, Millimetres | None] | None:
-        """The first report of a stand that can be trusted, and the place; None where none comes in time.
-
-        Where it goes on, what is sent next depends on what it says it does: to a jog mostly jog cancels,
-        since a hold can keep one from being cancelled (grblHAL), to anything else mostly holds. A door that
-        opens in a jog leaves grblHAL in Jog, standing: that is a stand until the door is closed, and ends by
-        its stop command afterwards.
-        """
+        """The first report of a stand that can be trusted, and the place; None where none comes in time."""
         link, clock, move = self.link, self.clock, self.move
         began_ns, previous, sent = clock.now_ns(), None, int(cancelled)
         sent_ns = began_ns if cancelled else None
@@ -514,10 +497,7 @@ def _goes_on(status: GrblStatus) -> bool:
 
 
 def _by_input(status: GrblStatus) -> bool:
-    """Whether an input of its own stops it, as a report tells: nothing here holds a move that is followed.
-
-    A hold in a jog shows by its pin alone: Grbl 1.1 then turns Idle, and grblHAL goes on.
-    """
+    """Whether an input of its own stops it, as a report tells: nothing here holds a move that is followed."""
     held = (
         status.state in (GrblState.DOOR, GrblState.HOLD) and status.substate != 3
     )  # moving back from a door
@@ -537,11 +517,7 @@ def _input(status: GrblStatus) -> str:
 
 
 def _next_byte(status: GrblStatus, sent: int, overdue: bool) -> bytes:
-    """What to send when so many bytes did not bring it to a stand: mostly the kind that fits its state.
-
-    A hold comes to a jog only once that should long have stood: before, it would meet one that is just
-    ending, and leave it held. grblHAL ignores it there.
-    """
+    """What to send when so many bytes did not bring it to a stand: mostly the kind that fits its state."""
     if status.state is GrblState.JOG:
         return HOLD if overdue and sent % 2 else CANCEL
     return CANCEL if sent % 3 == 2 else HOLD

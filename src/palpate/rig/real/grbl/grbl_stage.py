@@ -1,12 +1,10 @@
-"""A stage on a Grbl 1.1 or grblHAL controller, over a serial port.
+"""Stage on a Grbl 1.1 or grblHAL controller, over a serial port.
 
-Every move is one bounded jog, `$J=G21G90G53...`: it states all its modes, so that a reset, which undoes
-them, or a unit left behind by another programme changes nothing; it is absolute in machine coordinates, so
-that roundings do not add up; and the controller refuses one beyond its own travel without an alarm. Never
-more than one is in flight, because a controller goes on moving when its link is gone: what it holds is
-what it runs on by. Stopping in an emergency needs a switch of its own; no programme can promise it.
+Every move is one bounded jog, `$J=G21G90G53...`, that states all its modes in absolute machine coordinates:
+neither a reset nor a unit set by another program changes it. Only one is in flight, since a controller
+completes what it holds when its link fails. An emergency stop needs a switch of its own.
 
-Reference: behaviour of Grbl 1.1h and grblHAL 1.1f as observed.
+Reference: behavior of Grbl 1.1h and grblHAL 1.1f as observed.
 """
 
 from __future__ import annotations
@@ -117,11 +115,7 @@ class GrblStage(GcodeStage):
         return self._session.machine.motors_hold
 
     def hold_motors(self) -> None:
-        """Set $1=255 in the controller's memory; the motors keep their current from the next move on.
-
-        Raises:
-            DeviceError: it does not stand idle, or refuses.
-        """
+        """Set $1=255 in the controller's memory; the motors keep their current from the next move on."""
         with self._lock:
             session = self._session
             _, place_mm = session.standing()
@@ -150,7 +144,6 @@ class GrblStage(GcodeStage):
         move.first = self._link.next_number
 
     def moving(self) -> bool:
-        """Whether the last move is still under way. See `palpate.core.Stage`."""
         with self._lock:
             session = self._session
             move = session.move
@@ -236,10 +229,6 @@ class GrblStage(GcodeStage):
         """Take its place from the last session, where nothing can have moved or reset it since.
 
         See `palpate.rig.real.position_evidence`.
-
-        Raises:
-            PositionUnknownError: the evidence is not complete; `code` is the reason.
-            DeviceError: it is not standing idle.
         """
         with self._lock:
             self._session.note_restart()

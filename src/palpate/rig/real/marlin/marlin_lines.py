@@ -170,11 +170,7 @@ class MarlinMachine:
 
     @classmethod
     def read(cls, settings: Iterable[str], endstops: Iterable[str], about: Iterable[str]) -> MarlinMachine:
-        """Read the answers to M503, M211 and M115.
-
-        Raises:
-            ValueError: names what is missing or not above 0.
-        """
+        """Read the answers to M503, M211 and M115."""
         words: dict[str, dict[str, float]] = {}
         for text in settings:
             if found := _SETTING.match(text):

@@ -1,13 +1,9 @@
-"""The conversation with a Marlin controller: one line in flight, one thread that reads.
+"""Serial link to a Marlin controller: one line in flight, one thread that reads.
 
-Its `ok` names no line. Numbers and checksums let it ask again for a damaged line; where an `ok` or a line was
-lost, the link says a word that the controller has to repeat (M118): whatever comes before the word belongs to
-lines of before. So one lost line costs a little time and never an answer taken for another's.
+Its `ok` names no line. After a lost `ok` or line the link sends a word that the controller repeats (M118);
+everything before that word belongs to earlier lines.
 
-Nothing here knows of positions. Waiting is in real time: it bounds what the wire may take.
-
-Reference: Marlin's documentation of M110, M118, M410 and M112; that a line of its own before M410 keeps a
-line cut short from hiding it: the commit that brought the emergency parser.
+Reference: Marlin's documentation of M110, M118, M410 and M112.
 """
 
 from __future__ import annotations
@@ -63,9 +59,6 @@ class MarlinLink(GcodeLink):
         """Number lines from here on, after opening or a restart.
 
         The new number holds when the line is done, so that its `ok` is waited for before any other goes out.
-
-        Raises:
-            CutOffError: the controller started anew meanwhile.
         """
         with self._turn:
             self._number, self._sent = 0, {}
@@ -88,11 +81,6 @@ class MarlinLink(GcodeLink):
 
         Returns:
             What was said between the line and its answer.
-
-        Raises:
-            SilenceError: there was no answer.
-            CutOffError: `halt` was called, or the controller started anew.
-            DeviceError: the link is gone, or the controller reports an error.
         """
         with self._turn:
             halts = self.halts if halts is None else halts
@@ -193,11 +181,7 @@ class MarlinLink(GcodeLink):
         return said, False
 
     def _resend(self, number: int) -> None:
-        """Send again the lines of this exchange from a number on, and none of before: those are done.
-
-        A controller that asks for an earlier one counts anew, and so has restarted, whatever it said. One
-        that asks for a later one refused a line that it had twice.
-        """
+        """Send again the lines of this exchange from a number on, and none of before: those are done."""
         self.resent += 1
         if number < min(self._sent, default=0):
             with self._news:
@@ -207,11 +191,7 @@ class MarlinLink(GcodeLink):
             self._write(numbered(one, self._sent[one]))
 
     def _next(self, end_s: float, halts: int, starts: int) -> Line | None:
-        """The next line heard; None where none came in time.
-
-        Raises:
-            CutOffError: `halt` was called, or the controller started anew.
-        """
+        """The next line heard; None where none came in time."""
         with self._news:
             self._news.wait_for(
                 lambda: self._heard or self.dead or self.halts != halts or self.starts != starts,

@@ -1,20 +1,16 @@
-"""A stage on a Marlin controller, such as a 3-D printer's, over a serial port. Tried on a fake only.
+"""Stage on a Marlin controller, such as a 3-D printer's, over a serial port. Tested on a fake only.
 
-Every move is one `G1` to a place in the machine's own coordinates, and never more than one is in flight: a
-controller goes on with what it was given when its link is gone. Where the stage is comes from the steps that
-it counts (`Count` in M114), since the place that M114 states is where it was sent.
+Every move is one `G1` in machine coordinates, one in flight at a time. The position comes from the step
+counts (`Count` in M114), since M114 otherwise states the target.
 
-A stop is M410. It acts as it arrives only where the build has an emergency parser, and otherwise when the
-line before is done; `latency_s` says which. It cuts the motors' steps off without slowing down, so
-the count is right afterwards only from a speed at which the motors can stand at once: `top_speed_m_s` never
-exceeds that, which is the controller's jerk (M205) or what the spec states. Stopping in an emergency needs a
-switch of its own.
+A stop is M410, which acts at once only with an emergency parser (`latency_s`). It cuts the steps without
+deceleration, so `top_speed_m_s` never exceeds the controller's jerk (M205) or what the spec states. An
+emergency stop needs a switch of its own.
 
-The volatile marker of a known place (`position_evidence`) is the logical position of the extruder, set by G92
-and 0 after every start. M17 and M84 S0 keep the motors' current at a stand until the next start.
+The volatile marker of a known position (`position_evidence`) is the extruder's logical position (G92), 0
+after every start. M17 and M84 S0 keep the motors' current at rest until the next start.
 
-Reference: Marlin's public documentation (marlinfw.org/docs/gcode: G28, G92, M17, M84,
-M114, M211, M410, M503).
+Reference: marlinfw.org/docs/gcode: G28, G92, M17, M84, M114, M211, M410, M503.
 """
 
 from __future__ import annotations
@@ -145,7 +141,6 @@ class MarlinStage(GcodeStage):
         return self._machine.steps_per_mm
 
     def position_m(self) -> Position:
-        """Place now [m]. See `palpate.core.Stage`."""
         with self._lock:
             self._need_known()
             place_mm = self._look()
@@ -179,7 +174,6 @@ class MarlinStage(GcodeStage):
         raise DeviceError("a Marlin controller that gave up cannot be unlocked: switch it off and on again")
 
     def moving(self) -> bool:
-        """Whether the last move is still under way. See `palpate.core.Stage`."""
         with self._lock:
             place_mm = self._look()
             self._check_place(place_mm)
@@ -256,10 +250,6 @@ class MarlinStage(GcodeStage):
         """Take its place from the last session, where nothing can have moved or reset it since.
 
         See `palpate.rig.real.position_evidence`.
-
-        Raises:
-            PositionUnknownError: the evidence is not complete; `code` is the reason.
-            DeviceError: it does not stand.
         """
         with self._lock:
             self._note_restart()

@@ -1,11 +1,8 @@
 """ATI's Net F/T box as a force sensor: calibration over HTTP, records over UDP, received by a thread.
 
-What goes wrong is told, never guessed over: a sample that cannot be trusted carries a fault and no numbers; a
-box that is silent, stands still, restarts or reports an error ends the stream with a `DeviceError`. Samples
-are dated by the box's own numbers, so that what was held back on its way is as old as it is. The box's
-own bias is never set, nor is anything else in it: only start and stop are sent.
-
-Plain text without any proof of who speaks: connect the box to a network of its own.
+An unreliable sample carries a fault and no numbers. A box that is silent, stands still, restarts, or reports
+an error ends the stream with a `DeviceError`. Samples are dated by the box's own counters. Only start and
+stop are sent. The protocol has no authentication: connect the box to a network of its own.
 """
 
 from __future__ import annotations
@@ -282,12 +279,6 @@ class NetFT(Closing):
             host: the box's name or address; the default is how it leaves the factory.
             settings: how to talk to it.
             clock: stamps the samples.
-
-        Raises:
-            DeviceError: the box does not answer, is not the one expected, does not say its rate or range, or
-                another process has it: it serves only one.
-            ProtocolError: what answers is not a Net F/T box.
-            RangeError: it sends too seldom for the silence that is borne.
         """
         self._host, self._settings = host, settings or NetFTSettings()
         self._clock = clock or MonotonicClock()
@@ -332,12 +323,6 @@ class NetFT(Closing):
             return self._refuse_failed()
 
     def drain(self) -> list[Wrench]:
-        """Samples since the last call, oldest first.
-
-        Raises:
-            DeviceError: the stream has failed, or more came since the last call than are kept; the kept ones
-                come at the next call.
-        """
         with self._lock:
             self._refuse_failed()
             if self._overflowed:
@@ -397,10 +382,7 @@ class NetFT(Closing):
         return Samples(self.calibration, self._range_n, settings.silence_s, now_ns, self._rate_hz)
 
     def _start(self) -> RdtStream:
-        """Ask for records until the first one comes. Every try has a socket of its own.
-
-        So an answer to an earlier try, whose numbers begin anew, never mixes with a later one's.
-        """
+        """Ask for records until the first one comes. Every try has a socket of its own."""
         s = self._settings
         for _ in range(s.start_tries):
             stream = RdtStream(self._host, s.rdt_port, self._clock)

@@ -1,20 +1,9 @@
-"""A HEX six-axis force sensor behind its electronics on a serial port, such as the HEX-21 of the NUSense rig.
+"""HEX six-axis force sensor on a serial port, such as the HEX-21 of the NUSense rig. Tested on a fake only.
 
-Its box sends all the time, at the rate of its mode button: 100, 500 or 1000 samples a second. It has neither
-counter nor clock: samples that arrive together are set apart by the stated rate, and the guard compares that
-rate with the true one. The box takes its own zero by its tare button; palpate takes another in the air.
-
-Source: the public interface libraries Resense.py (resense-gmbh) and ResenseHEX (TU Darmstadt, MUST). Tried on
-a fake alone.
-
-Samples of a HEX force sensor's electronics: 28 bytes each, without a mark where one begins.
-
-A sample is seven little-endian 32-bit floats: Fx, Fy, Fz [N], Mx, My, Mz [mN m], and the temperature [deg C].
-Nothing else is sent: no header, counter, checksum or time. Where a sample begins is found by its
-temperature, which is known to some degrees beforehand and hardly changes: of the 28 places where samples
-could begin, those count at which all numbers are plausible. Where a force or torque could be a temperature as
-well, pauses decide: over USB each sample comes in one piece, so that what follows a pause is a beginning. If
-they do not agree either, nothing is guessed. A lost byte is noticed by the next temperature.
+Its box sends 100, 500, or 1000 samples per second, without counter or clock. A sample is seven little-endian
+32-bit floats: Fx, Fy, Fz [N], Mx, My, Mz [mN m], and the temperature [deg C], 28 bytes without a mark. The
+start of a sample is found by its plausible temperature, or else by the pauses between samples; if they
+disagree, no sample is returned. The next temperature reveals a lost byte.
 
 Source: the public interface libraries Resense.py (resense-gmbh) and ResenseHEX (TU Darmstadt, MUST).
 """
@@ -246,12 +235,10 @@ class HexSensor(SerialForceSensor):
 
     @property
     def rate_hz(self) -> float:
-        """Samples a second, as stated [Hz]."""
         return self._spec.rate_hz
 
     @property
     def range_n(self) -> tuple[float, float, float]:
-        """Greatest force along each axis [N]."""
         return (self._spec.range_n,) * 3
 
     @property

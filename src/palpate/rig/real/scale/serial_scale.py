@@ -1,14 +1,11 @@
-"""A load cell or balance on a serial port as a force sensor along one axis, slow and honest about it.
+"""Load cell or balance on a serial port as a slow force sensor along one axis.
 
-It measures along the device's z alone; x and y read 0 N and are not measured. A sample is stamped with
-its arrival less the stated delay, so that a guard sees how old it is in truth: too old, for most of these, to
-move towards a skin by. `Limits.check_sensor` refuses those, which may label or weigh all the same.
+It measures along the device's z; x and y read 0 N. A sample is stamped with its arrival minus the stated
+delay; `Limits.check_sensor` refuses sensors that are too slow to guard motion. Garbled lines are counted.
+Silence, a lost port, unreadable lines, and counts that stand still raise `DeviceError`.
 
-Garbled lines are counted and weigh nothing. Silence, a port that is gone, lines of which none can be read,
-and counts that stand still end it with a `DeviceError`.
-
-Reference: HX711 data sheet (Avia Semiconductor): 24 bits in two's complement that saturate at 0x7FFFFF and
-0x800000; 10 or 80 samples a second, which settle within 400 or 50 ms.
+Reference: HX711 data sheet (Avia Semiconductor): 24 bits in two's complement, saturated at 0x7FFFFF and
+0x800000; 10 or 80 samples per second, which settle within 400 or 50 ms.
 """
 
 from __future__ import annotations
@@ -210,9 +207,8 @@ class WeightStream:
         return why
 
     def _other_unit(self, weight: Weight) -> str:
-        """Fault of a line in another unit than the first that had one: somebody has set the scale otherwise.
-
-        It could be read; but a line that carries no unit then means another weight than before.
+        """Fault of a line in another unit than the first that had one: somebody has set the
+        scale otherwise.
         """
         self._unit = self._unit or weight.unit
         if weight.unit in ("", self._unit):
@@ -271,7 +267,6 @@ class SerialScale(SerialForceSensor):
 
     @property
     def rate_hz(self) -> float:
-        """Lines a second, as stated [Hz]."""
         return self._spec.rate_hz
 
     @property

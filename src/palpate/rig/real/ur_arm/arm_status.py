@@ -1,11 +1,9 @@
-"""Status of an arm by its receive interface: where its tool is, how old that is, what keeps it from moving.
+"""Status of an arm by its receive interface: tool pose, age, and what prevents motion.
 
-Age is told by the controller's own timestamp, as a line that broke without a word leaves the last values
-standing: the interface goes on to hand them out. The quickest status seen so far sets the two clocks against
-each other, since one can only come later, never sooner.
+Age comes from the controller's own timestamp, because the interface repeats the last values after a lost
+connection. The status with the least delay synchronizes the two clocks.
 
-Source: the API reference of ur_rtde (sdurobotics.gitlab.io/ur_rtde), RTDEReceiveInterface: getTimestamp,
-getActualTCPPose, getActualTCPSpeed, getRobotMode, getSafetyStatusBits, isConnected.
+Source: API reference of ur_rtde (sdurobotics.gitlab.io/ur_rtde), RTDEReceiveInterface.
 """
 
 from __future__ import annotations
@@ -115,12 +113,7 @@ class ArmStatus:
         return f"{mode}; {self.safety_stop}" if self.safety_stop else mode
 
     def check_runs(self) -> None:
-        """Refuse an arm that cannot move.
-
-        Raises:
-            HardwareStopError: its own safety system has stopped it; says which stop.
-            DeviceError: it is not running.
-        """
+        """Refuse an arm that cannot move."""
         if self.safety_stop:
             raise HardwareStopError(f"the arm {self.safety_stop}")
         if self.mode != RUNNING:
@@ -147,12 +140,7 @@ class ArmWatch:
         self._looked_s = -math.inf
 
     def look(self) -> ArmStatus:
-        """The newest status.
-
-        Raises:
-            DeviceError: the connection is lost, the status is too old or no number, or the controller
-                restarted.
-        """
+        """The newest status."""
         with self._lock:
             if self._now_s() - self._looked_s > PAUSE_S:
                 self._apart_s = math.inf

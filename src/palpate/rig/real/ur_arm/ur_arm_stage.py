@@ -1,15 +1,11 @@
-"""A Universal Robots arm as a stage, over the library ur_rtde. Tried on a fake only.
+"""Universal Robots arm as a stage, over the library ur_rtde. Tested on a fake only.
 
-The arm carries the probe. Every move is one `moveL` of the tool, begun and not waited for, with the tool's
-orientation as it was found when the rig was opened; never more than one is in flight, since an arm whose link
-is gone ends the move that it was given. An arm is absolute: it needs no homing, and opening it moves nothing.
+Every move is one asynchronous `moveL` of the tool with its orientation at opening, one in flight at a time.
+An arm is absolute: it needs no homing, and opening it moves nothing. A stop is `stopL` with the stated
+deceleration a; its overshoot, at most v^2 / 2a and the latency, is measured at each stop. The library is not
+thread-safe, so a stop waits for a move that is being sent. An emergency stop needs the arm's own button.
 
-A stop is `stopL` with the stated deceleration a, so it runs on by v^2 / 2a and the latency at most; that is
-measured at each stop. The library is not safe from two threads, so a stop waits until a move that is being
-handed over has been taken. Stopping in an emergency needs the arm's own button; no programme can promise it.
-
-Source: the API reference of ur_rtde (sdurobotics.gitlab.io/ur_rtde), RTDEControlInterface: moveL, stopL,
-isProgramRunning, stopScript, disconnect.
+Source: API reference of ur_rtde (sdurobotics.gitlab.io/ur_rtde), RTDEControlInterface.
 """
 
 from __future__ import annotations
@@ -116,12 +112,7 @@ class UrArmStage(Closing):
 
     @classmethod
     def open(cls, spec: UrArmSpec, clock: Clock | None = None) -> UrArmStage:
-        """Connect to the spec's controller, alone; nothing moves.
-
-        Raises:
-            MissingExtraError: ur_rtde is not installed.
-            DeviceError: another process holds the arm; besides as above.
-        """
+        """Connect to the spec's controller, alone; nothing moves."""
         receiving, controlling = _library("rtde_receive"), _library("rtde_control")
         held = hold_device(arm_named(spec.host))
         try:
@@ -148,11 +139,7 @@ class UrArmStage(Closing):
 
     @property
     def status(self) -> ArmStatus:
-        """The newest status.
-
-        Raises:
-            DeviceError: there is none, or it is too old.
-        """
+        """The newest status."""
         self._check_open()
         return self._watch.look()
 
@@ -188,12 +175,6 @@ class UrArmStage(Closing):
             self._hand_over([*target_m, *self._tool_rad], speed_m_s)
 
     def moving(self) -> bool:
-        """Whether the last move is still under way. See `palpate.core.Stage`.
-
-        Raises:
-            HardwareStopError: its safety system has stopped it.
-            DeviceError: besides, it stands short of its target, off its way, or its tool was turned.
-        """
         with self._lock:
             status = self.status
             status.check_runs()
