@@ -22,6 +22,7 @@ class Reason(StrEnum):
     FORCE_NOISE = "force-noise"
     FORCE_DEAD = "force-dead"  # it does not follow what is touched
     FORCE_STUCK = "force-stuck"  # it repeats one sample
+    FORCE_COARSE = "force-coarse"  # its resolution hides its noise, so that a stuck one cannot be told
     FORCE_REVERSED = "force-reversed"
     FORCE_SCALED = "force-scaled"  # its scale has changed since the air
     FORCE_DRIFT = "force-drift"  # its zero moved while it pressed
