@@ -284,9 +284,8 @@ def test_a_sensor_far_coarser_than_its_noise_is_refused_in_the_air(rng) -> None:
     flickers = [
         replace(one, force_n=(BIAS[0] + 0.003 * (i % 2), *one.force_n[1:])) for i, one in enumerate(samples)
     ]
-    with refused("force-stuck", Tripped) as error:
+    with refused("force-coarse", Tripped):
         monitor(flickers)
-    assert error.value.reason is Reason.FORCE_STUCK
 
 
 def test_a_coarse_sensor_that_repeats_itself_while_it_is_pressed_at_a_stand_is_not_stuck(rng) -> None:

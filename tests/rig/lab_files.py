@@ -153,6 +153,8 @@ def lab_file(
                 "kind": "grbl",
                 "port": terminal.path,
                 "reference": "counts",
+                "steps_per_mm": [stage.settings[number] for number in (100, 101, 102)],
+                "direction_mask": stage.settings[3],
                 "boot_s": 0.05,
                 "latency_s": 0.01,
             },

@@ -10,11 +10,12 @@ from typing import Any
 
 import pytest
 from tests.fakes.grbl_parameters import GrblParameters
+from tests.refusals import refused
 from tests.rig.lab_files import STIFFNESS_N_MM, SURFACE_MM, LabFile, lab_file, pushed
 from tests.rig.rigs import IDEAL, plan, rig
 
 from palpate.core import DeviceError, ForceSensor, Position, PositionUnknownError, Stage, Wrench
-from palpate.devices import OperatorCommand, OperatorControl, Reason
+from palpate.devices import OperatorCommand, OperatorControl, Reason, Tripped
 from palpate.rig import State, open_rig, record
 from palpate.rig.plans import Listed
 from palpate.rig.press_motion import PressMotion
@@ -111,9 +112,54 @@ def test_a_retry_after_contact_in_the_first_approach_accepts_no_wrong_position(
     assert stage.deepest_m / MM <= RULE_MM
 
 
+class SlopedStage(MistakenStage):
+    """A stage over a skin that rises along x; `deepest_m` is below that skin, beside the center."""
+
+    slope = 1.0
+
+    def _true(self) -> Position:
+        at = self._stage.position_m()
+        self.error_m = (0.0, 0.0, self.slope * at[0])
+        if at[0] > 0.2 * MM:
+            self.deepest_m = max(self.deepest_m, at[2])
+        return at
+
+    def move_to(self, position_m: Position, speed_m_s: float) -> None:
+        x, y, z = position_m
+        self._stage.move_to((x, y, z + self.slope * x), speed_m_s)
+
+
+def test_a_skin_that_is_higher_at_another_place_is_met_at_a_guarded_speed(tmp_path: Path) -> None:
+    made = rig(variation=IDEAL)
+    stage = SlopedStage(made.stage, (0.0, 0.0, 0.0))
+    outcome = record(replace(made, stage=stage), plan(cycles=1), tmp_path / "run")
+    assert outcome.reason is Reason.TOUCHED_EARLY, outcome.message
+    assert outcome.shots > 0, "the first place was pressed"
+    assert 0.0 < stage.deepest_m / MM <= RULE_MM
+
+
+@pytest.mark.parametrize("room_mm", [0.0, 0.3])
+def test_a_clearance_without_room_to_prove_the_air_is_refused(tmp_path: Path, room_mm: float) -> None:
+    made = rig(variation=IDEAL)
+    x, y, _ = made.limits.least_m
+    limits = replace(made.limits, least_m=(x, y, -(plan().clearance_mm + room_mm) * MM))
+    with refused("soft-limit", Tripped):
+        record(replace(made, limits=limits), plan(), tmp_path / "run")
+
+
+@pytest.mark.parametrize("error_mm", [0.0, 3.0])
+def test_at_the_upper_soft_limit_the_air_is_proven_on_the_way_down(tmp_path: Path, error_mm: float) -> None:
+    made, stage = mistaken(error_mm)
+    x, y, _ = made.limits.least_m
+    limits = replace(made.limits, least_m=(x, y, stage.position_m()[2]))
+    outcome = record(replace(made, stage=stage, limits=limits), plan(), tmp_path / "run")
+    assert outcome.reason is (Reason.TOUCHED_EARLY if error_mm else None), outcome.message
+    assert stage.deepest_m / MM <= (RULE_MM if error_mm else 1.5)
+
+
 def test_without_the_guarded_search_the_probe_is_driven_into_the_skin(tmp_path: Path, monkeypatch) -> None:
     """Control: the same measure, of motion as it was."""
-    monkeypatch.setattr(PressMotion, "_search", lambda self, to, step: self._guard.away(to, 20 * MM))
+    monkeypatch.setattr(PressMotion, "_search", lambda self, to, step, speed: self._guard.away(to, 20 * MM))
     made, stage = mistaken(3.0)
     record(made, plan(), tmp_path / "run")
     assert stage.deepest_m / MM > 2 * RULE_MM

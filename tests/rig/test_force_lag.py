@@ -82,11 +82,21 @@ def test_a_force_that_is_in_time_is_believed_with_its_lag(sensor: str, delay_s: 
 @pytest.mark.parametrize("noise", [0.5, 2.0])
 @pytest.mark.parametrize("sensor", SENSORS)
 def test_detection_holds_at_other_noises(sensor: str, noise: float) -> None:
-    """By either detector; 50 ms is within the interval of the TacTip's lag at twice its noise."""
+    """By either detector; 50 ms is within the interval of the TacTip's lag at twice its noise.
+
+    At half its noise, the TacTip's force sensor may read one value in the air and is refused before it moves.
+    """
+    coarse = 0
     for seed in range(5):
         late = [touched(sensor, one, noise, seed) for one in (0.1, 0.15)]
+        in_time = [touched(sensor, one, noise, seed) for one in (0.0, 0.005, 0.01)]
+        if all(getattr(one, "reason", None) is Reason.FORCE_COARSE for one in late + in_time):
+            coarse += 1
+            continue
         assert all(getattr(one, "reason", None) in (Reason.FORCE_LAG, Reason.FORCE_DEAD) for one in late)
-        assert all(isinstance(touched(sensor, one, noise, seed), dict) for one in (0.0, 0.005, 0.01))
+        assert all(isinstance(one, dict) for one in in_time)
+    assert coarse < 5
+    assert coarse == 0 or (sensor, noise) == ("tactip", 0.5)
 
 
 def test_a_latency_that_the_rig_states_is_no_fault() -> None:

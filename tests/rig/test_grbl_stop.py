@@ -201,6 +201,25 @@ class TestShortOfTheTarget:
             assert reset.result(timeout=10.0)
             assert bench.received.count(RESET) == before + 1
 
+    def test_a_reset_whose_banner_is_lost_is_repeated_and_keeps_the_place(
+        self, grbl_bench, model, monkeypatch
+    ):
+        bench = grbl_bench(model, reply_s=0.5)
+        stage = bench.open()
+        before_m = stage.position_m()
+        bench.say(b"!")
+        greet, lost = bench.firmware._greet, []
+
+        def lose_one(**words):
+            if lost:
+                greet(**words)
+            lost.append(True)
+
+        monkeypatch.setattr(bench.firmware, "_greet", lose_one)
+        stage.stop()
+        assert len(lost) == 2
+        assert stage.position_m() == pytest.approx(before_m, abs=1e-6)
+
 
 STANDING = {
     "Idle": lambda bench: None,

@@ -114,11 +114,50 @@ def test_repeated_small_jogs_go_no_deeper_than_one() -> None:
     assert 0 < deepest_m < 0.6e-3  # 1 N
 
 
-def test_a_jog_at_the_upper_soft_limit_needs_no_lift() -> None:
+def test_a_jog_at_the_upper_soft_limit_proves_the_air_on_its_way_down() -> None:
     rig = virtual_rig()
     z = rig.stage.position_m()[2]
     rig = replace(rig, limits=replace(rig.limits, least_m=(*rig.limits.least_m[:2], z - 1e-4)))
     assert jogged(rig) == pytest.approx(z + 1e-3, abs=2e-5)
+
+
+def test_jogs_in_contact_at_the_upper_soft_limit_are_refused_and_press_no_harder_by_repetition() -> None:
+    rig = in_contact(0.2e-3)
+    z = rig.stage.position_m()[2]
+    rig = replace(rig, limits=replace(rig.limits, least_m=(*rig.limits.least_m[:2], z)))
+    for _ in range(4):
+        with refused("touched-early", Tripped):
+            jogged(rig, distance_m=0.5e-3)
+        assert rig.stage.position_m()[2] == pytest.approx(z, abs=1e-5)
+    with refused("soft-limit", Tripped):
+        touch_twice(rig.stage, rig.force, rig.limits, rig.clock, 2e-3)
+
+
+class EndsMeasuring(Turned):
+    """A force sensor that repeats its last sample, or falls silent, from a moment on."""
+
+    def __init__(self, rig: Rig, after_s: float, *, silent: bool) -> None:
+        super().__init__(rig, Mounting())
+        self._clock, self._silent, self._last = rig.clock, silent, rig.force.latest()
+        self._from_ns = rig.clock.now_ns() + after_s * NS_PER_S
+
+    def drain(self) -> list[Wrench]:
+        samples = super().drain()
+        good = [one for one in samples if one.time_ns < self._from_ns]
+        self._last = good[-1] if good else self._last
+        late = samples[len(good) :]
+        return good + ([] if self._silent else [replace(self._last, time_ns=one.time_ns) for one in late])
+
+
+@pytest.mark.parametrize("silent", [True, False])
+def test_a_jog_away_ends_where_the_sensor_measures_no_more(silent: bool) -> None:
+    """As z may be turned round."""
+    rig = virtual_rig()
+    z = rig.stage.position_m()[2]
+    rig = replace(rig, force=EndsMeasuring(rig, 2.5, silent=silent))
+    with refused("force-stale" if silent else "force-stuck", Tripped):
+        jogged(rig, distance_m=-12e-3)
+    assert rig.stage.position_m()[2] > z - 6e-3
 
 
 def test_two_touches_that_begin_in_the_skin_find_its_surface() -> None:

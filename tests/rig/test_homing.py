@@ -5,6 +5,8 @@ import time
 from collections.abc import Callable
 
 import pytest
+from tests.fakes.grbl_parameters import GrblParameters
+from tests.refusals import refused
 
 from palpate.core import DeviceError, MonotonicClock, Position, Wrench
 from palpate.devices import Reason, Tripped
@@ -79,6 +81,14 @@ def test_homing_in_the_air_goes_on() -> None:
     stage = Stage()
     home_watched(stage, Force(lambda s: 0.2), MonotonicClock())  # type: ignore[arg-type]
     assert not stage.stopped.is_set()
+
+
+def test_a_pull_off_beyond_the_lift_before_homing_is_refused(grbl_bench) -> None:
+    bench = grbl_bench(GrblParameters(homed=True, settings={27: 20}))
+    stage = bench.open(known=False)
+    with refused("homing-pull-off", DeviceError):
+        stage.home()
+    assert b"$H" not in bench.received
 
 
 @pytest.mark.parametrize(

@@ -134,7 +134,9 @@ def test_a_marlin_printer_with_a_fast_load_cell_is_written_and_opens(tmp_path: P
         assert "marlin" in said
         assert file["stage"]["kind"] == "marlin"
         assert file["limits"]["force_latency_s"] == pytest.approx(0.063)
-        rig = open_rig(str(tmp_path / "rig.toml"))
+        with pytest.raises(PositionUnknownError):  # a printer releases its motors at rest
+            open_rig(str(tmp_path / "rig.toml"))
+        rig = open_rig(str(tmp_path / "rig.toml"), position="reference")
         assert rig.stage.position_m() == pytest.approx((0.0, 0.0, 0.0))
         rig.close()
 

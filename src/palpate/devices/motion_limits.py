@@ -22,6 +22,7 @@ class Reason(StrEnum):
     FORCE_NOISE = "force-noise"
     FORCE_DEAD = "force-dead"  # it does not follow what is touched
     FORCE_STUCK = "force-stuck"  # it repeats one sample
+    FORCE_COARSE = "force-coarse"  # its resolution hides its noise, so that a stuck one cannot be told
     FORCE_REVERSED = "force-reversed"
     FORCE_SCALED = "force-scaled"  # its scale has changed since the air
     FORCE_DRIFT = "force-drift"  # its zero moved while it pressed
@@ -169,7 +170,8 @@ class Limits:
     def fastest_m_s(self, travel: Travel) -> float:
         """The greatest speed towards the skin whose `runs_on_m` is allowed [m/s]."""
         a, tau = travel.acceleration_m_s2, travel.latency_s + self.force_latency_s
-        return min(travel.top_speed_m_s, a * (math.sqrt(tau**2 + 2 * self.overshoot_m / a) - tau))
+        allowed = a * (math.sqrt(tau**2 + 2 * self.overshoot_m / a) - tau)
+        return min(travel.top_speed_m_s, allowed * (1 - 1e-9))  # so that rounding does not refuse it
 
     def check_speed(self, speed_m_s: float, travel: Travel) -> None:
         """Refuse a speed towards the skin at which the probe would run on too far."""

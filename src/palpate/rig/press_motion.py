@@ -34,6 +34,10 @@ NOISY_S = 2.0  # longest time for which a noisy sensor is heard besides
 CHECK_LIFT_MM = 0.6  # of the first approach, to see that the force is that of the air
 ASIDE_STEP_MM = 1.0  # longest move aside of a first approach: what a broken link can run on
 LEVEL_M = 1e-6
+_NO_ROOM = (
+    f"the upper soft limit leaves less than {CHECK_LIFT_MM:g} mm above the clearance, and a lift by as much "
+    "proves that the probe hangs in the air: lower clearance_mm, or raise the limit (least_mm, z)"
+)
 
 
 class PressMotion:
@@ -95,22 +99,22 @@ class PressMotion:
         return min(expected_m, max(expected_m - self._higher_m, self._rig.limits.least_m[2]))
 
     def over(self, x_m: float, y_m: float) -> None:
-        """Lift, and go over a place at the clearance [m]; down to it always by a guarded search.
+        """Lift, and go over a place at the clearance [m], aside and down to it by guarded searches.
 
-        Until contact was found where it is expected, the way aside is a guarded search as well, since the
-        stage's position may be wrong, and contact may occur anywhere.
+        The skin may be higher at another place, and in a first approach the stage's position may be wrong.
         """
         self.lift()
         x, y, _ = _at(self._rig, x_m, y_m, 0.0)
-        z = min(self._guard.position_m()[2], self._clearance_m)
+        seek_m_s = aside_m_s = self._plan.seek_mm_s * MM
         if self._position_proven:
-            self._guard.away((x, y, z), self._plan.travel_mm_s * MM)
+            fastest_m_s = self._rig.limits.fastest_m_s(self._rig.stage.travel)
+            aside_m_s = max(seek_m_s, min(self._plan.travel_mm_s * MM, fastest_m_s))
         else:
             self._prove_air()
-            z = min(self._guard.position_m()[2], self._clearance_m)
-            self._search((x, y, z), ASIDE_STEP_MM * MM)
+        z = min(self._guard.position_m()[2], self._clearance_m)
+        self._search((x, y, z), ASIDE_STEP_MM * MM, aside_m_s)
         if z < self._clearance_m - LEVEL_M:
-            self._search((x, y, self._clearance_m), None)
+            self._search((x, y, self._clearance_m), None, seek_m_s)
 
     def distrust_position(self) -> None:
         """Make the next approach a first one, down to the clearance of the plan, however high it was lifted.
@@ -120,20 +124,29 @@ class PressMotion:
         self._position_proven = False
         self._set_clearance(0.0)
 
-    def _search(self, target: Position, step_m: float | None) -> None:
-        """Move at the speed of the search for contact, and end on any contact."""
+    def _search(self, target: Position, step_m: float | None, speed_m_s: float) -> None:
+        """Move, and end on any contact."""
         felt = ForceReached(max(self._plan.threshold_N, 1.5 * SIGMAS * self._bias.noise_n), any_way=True)
-        if self._guard.towards(target, self._plan.seek_mm_s * MM, felt, step_m):
+        if self._guard.towards(target, speed_m_s, felt, step_m):
             above_mm = (self._clearance_m - self._guard.position_m()[2]) / MM
             self._rise(HIGHER_MM)  # the clearance may lie in the skin
             raise Tripped(
                 Reason.TOUCHED_EARLY,
-                f"the probe met something on its first approach, {above_mm:.2f} mm above the clearance: the "
-                "stage's position or origin_mm is wrong. Home the stage, or give --position touch-off",
+                f"the probe met something on its way to a place, {above_mm:.2f} mm above the clearance: the "
+                "skin is higher there than clearance_mm allows, or the stage's position or origin_mm is "
+                "wrong. Raise clearance_mm, home the stage, or give --position touch-off",
             )
 
     def _prove_air(self) -> None:
-        """Lift a little, slowly, to see that the force stays the same; then take the zero."""
+        """Lift a little, slowly, to see that the force stays the same; then take the zero.
+
+        At the upper soft limit the probe is lowered first, by a guarded search, so that it can be lifted.
+        """
+        x, y, z = self._guard.position_m()
+        lowered_m = self._rig.limits.least_m[2] + CHECK_LIFT_MM * MM
+        if z < lowered_m - LEVEL_M:
+            self._guard.tare(self._rig.force.rate_hz)
+            self._search((x, y, lowered_m), None, self._plan.seek_mm_s * MM)
         before, noise_n, before_n = self._mean_raw()
         lifted_mm = self._rise(CHECK_LIFT_MM)
         after, _, after_n = self._mean_raw()
@@ -383,6 +396,8 @@ def _check_places(rig: Rig, plan: RecordingPlan) -> None:
             x, y = (place.x_mm + dx) * MM, (place.y_mm + dy) * MM
             for z in (-plan.clearance_mm * MM, lowest):
                 rig.limits.check_target(_at(rig, x, y, z))
+    if rig.origin_m[2] - (plan.clearance_mm + CHECK_LIFT_MM) * MM < rig.limits.least_m[2] - LEVEL_M:
+        raise Tripped(Reason.SOFT_LIMIT, _NO_ROOM)
 
 
 def _check_known(rig: Rig, plan: RecordingPlan) -> None:

@@ -213,7 +213,7 @@ def check_fineness(air: AirNoise, normal: int) -> None:
     if air.spans_n[normal] > 0 or air.count < TELLING:
         return
     raise Tripped(
-        Reason.FORCE_STUCK,
+        Reason.FORCE_COARSE,
         f"all {air.count + 1} samples in the air are the same along the sensor's {'xyz'[normal]}: its noise "
         "is far below its resolution"
         + (f" of {air.quantum_n:.3g} N" if air.quantum_n else "")

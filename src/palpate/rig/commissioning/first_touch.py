@@ -220,9 +220,14 @@ def touch_twice(stage: Stage, force: ForceSensor, limits: Limits, clock: Clock, 
     """
     if not 0 < reach_m <= MAX_REACH_M:
         raise RangeError(f"a touch over {reach_m * 1e3:g} mm; {MAX_REACH_M * 1e3:g} mm are the most")
-    if has_room_to_lift(stage, limits):
-        lift_clear(Hand(stage, force, Mounting(), clock), limits)
-        reach_m += FLAT_M
+    if not has_room_to_lift(stage, limits):
+        raise Tripped(
+            Reason.SOFT_LIMIT,
+            f"the upper soft limit leaves less than {FLAT_M * 1e3:g} mm above the probe, and a lift by that "
+            "much proves that it hangs in the air: hang it lower, or raise the limit (least_mm, z)",
+        )
+    lift_clear(Hand(stage, force, Mounting(), clock), limits)
+    reach_m += FLAT_M
     first, second = (_touch(stage, force, limits, clock, reach_m) for _ in range(2))
     apart_m = abs(first.surface_m[2] - second.surface_m[2])
     if first.axes != second.axes or apart_m > AGREE_M:

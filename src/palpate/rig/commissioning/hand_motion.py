@@ -23,7 +23,7 @@ from palpate.core import (
     Stage,
     Wrench,
 )
-from palpate.devices import Limits, Mounting, OperatorControl, Reason, Tripped
+from palpate.devices import ForceReached, Limits, Mounting, OperatorControl, Reason, Tripped
 from palpate.devices.device_proxies import PlainForceSource
 from palpate.devices.force_bias import Force, ForceBias
 from palpate.devices.motion_guard import MotionGuard
@@ -118,6 +118,35 @@ class AirForce:
     def error_n(self) -> float:
         """Standard deviation of the mean along the press [N]."""
         return self.noise_n / math.sqrt(self.samples)
+
+
+class LiveSamples:
+    """Samples of a sensor that guards a motion; one that falls silent or repeats itself is doubted.
+
+    Raises:
+        Tripped: at `take`, on a faulty sample, or on none or only equal ones for `STALE_S`.
+    """
+
+    def __init__(self, force: ForceSensor, clock: Clock) -> None:
+        self._force, self._clock = force, clock
+        self._patience_ns = round(max(STALE_S, MIN_SAMPLES / force.rate_hz) * NS_PER_S)
+        self._newest: Wrench | None = None
+        self._repeats = 0
+        self._changed_ns = clock.now_ns()  # of this clock: the stamps of a faulty sensor may lie
+
+    def take(self) -> list[Wrench]:
+        """Samples since the last call."""
+        samples = _fresh(self._force)
+        for one in samples:
+            before, self._newest = self._newest, one
+            if before is None or (before.force_n, before.torque_nm) != (one.force_n, one.torque_nm):
+                self._changed_ns, self._repeats = self._clock.now_ns(), 0
+            else:
+                self._repeats += 1
+        if self._clock.now_ns() - self._changed_ns > self._patience_ns:
+            reason = Reason.FORCE_STUCK if self._repeats else Reason.FORCE_STALE
+            raise Tripped(reason, f"no new force came for {STALE_S:g} s while the stage moved")
+        return samples
 
 
 def _fresh(force: ForceSensor) -> list[Wrench]:
@@ -397,7 +426,7 @@ def guard_from_air(hand: Hand, limits: Limits, stop_n: float) -> MotionGuard:
     """Return a guard whose zero is the air, with the stage back where it stood.
 
     A guard that is zeroed where the probe stands allows `stop_n` more in each motion: repeated, they would
-    press without a bound. At the upper soft limit, where nothing can be lifted, it is zeroed in place.
+    press without a bound. At the upper soft limit, where nothing can be lifted, the probe is lowered instead.
 
     Raises:
         Tripped: the probe was in contact, and is lifted; or a limit of the way back.
@@ -407,18 +436,52 @@ def guard_from_air(hand: Hand, limits: Limits, stop_n: float) -> MotionGuard:
     guard = MotionGuard(
         stage, force, replace(limits, force_n=stop_n), ForceBias(mounting), clock, OperatorControl()
     )
-    if has_room_to_lift(stage, limits):
-        seen = zero(hand, limits)
-        if (unseen_n := _contact_n(seen, seen)) > UNSEEN_N:
-            raise Tripped(
-                Reason.FORCE_NOISE,
-                f"a contact of {unseen_n:.2f} N would stay unseen in the noise of {seen.noise_n:.2f} N, and "
-                f"{UNSEEN_N:g} N are allowed before a jog: shield the sensor, or average its samples",
-            )
+    room = has_room_to_lift(stage, limits)
+    seen = zero(hand, limits) if room else hand.felt_raw()
+    if (unseen_n := _contact_n(seen, seen)) > UNSEEN_N:
+        raise Tripped(
+            Reason.FORCE_NOISE,
+            f"a contact of {unseen_n:.2f} N would stay unseen in the noise of {seen.noise_n:.2f} N, and "
+            f"{UNSEEN_N:g} N are allowed before a jog: shield the sensor, or average its samples",
+        )
     guard.tare(force.rate_hz)  # learns its noise too, without which a stuck sensor is believed
+    slow_m_s = min(LIFT_SPEED_M_S, limits.fastest_m_s(stage.travel))
+    if not room:
+        _prove_air_below(hand, guard, limits, slow_m_s)
     if math.dist(stage.position_m(), at) > SAME_M:
-        guard.towards(at, min(LIFT_SPEED_M_S, limits.fastest_m_s(stage.travel)))
+        guard.towards(at, slow_m_s)
     return guard
+
+
+def _prove_air_below(hand: Hand, guard: MotionGuard, limits: Limits, speed_m_s: float) -> None:
+    """Go from the upper soft limit down by `FLAT_M`: where the force stays the same, the probe is free.
+
+    Raises:
+        Tripped: it changed; the probe is back where it began.
+    """
+    x, y, z = hand.stage.position_m()
+    highest = limits.least_m[2]
+    guard.towards((x, y, highest), speed_m_s)
+    air = _heard(guard, hand.force)
+    felt = ForceReached(max(CHANGED_N, 1.5 * SIGMAS * air.noise_n), any_way=True)
+    touched = guard.towards((x, y, highest + FLAT_M), speed_m_s, felt, SEARCH_STEP_M)
+    now = _heard(guard, hand.force)
+    if touched or math.dist(now.force_n, air.force_n) > _contact_n(now, air):
+        guard.away((x, y, min(z, highest + FLAT_M)), speed_m_s)
+        raise Tripped(
+            Reason.TOUCHED_EARLY,
+            f"the probe met something less than {FLAT_M * 1e3:g} mm below the upper soft limit, which leaves "
+            "no room to lift it: raise the limit (least_mm, z), or correct the stage's position",
+        )
+
+
+def _heard(guard: MotionGuard, force: ForceSensor) -> AirForce:
+    """Mean of fresh samples in the sensor's own axes, taken through the guard, which misses none then."""
+    guard.look(judged=False)  # older samples belong to another position
+    samples = guard.wait(max(MEASURE_S, 1.5 * MIN_SAMPLES / force.rate_hz), judged=False)
+    bias = ForceBias(Mounting())
+    bias.measure(samples)
+    return AirForce(bias.force_n, bias.noise_n, force.rate_hz, 0.0, len(samples))
 
 
 def jog(
@@ -486,19 +549,16 @@ def move_watched(
         Tripped: a faulty sample, or none for half a second; the stage stands.
     """
     felt = False
-    newest_ns = clock.now_ns()
+    far_m = math.dist(stage.position_m(), target)
+    discard(force)
+    live = LiveSamples(force, clock)
 
     def look() -> None:
-        nonlocal felt, newest_ns
-        for one in _fresh(force):
-            felt, newest_ns = felt or math.dist(one.force_n, from_n) > stop_n, one.time_ns
-        if clock.now_ns() - newest_ns > STALE_S * NS_PER_S:
-            raise Tripped(Reason.FORCE_STALE, f"no force came for {STALE_S:g} s while the stage moved")
+        nonlocal felt
+        felt = any(math.dist(one.force_n, from_n) > stop_n for one in live.take()) or felt
         if felt:
             stage.stop()
 
-    far_m = math.dist(stage.position_m(), target)
-    discard(force)
     stage.move_to(target, speed_m_s)
     _await(stage, clock, far_m / speed_m_s, look)
     return felt
@@ -551,9 +611,11 @@ def retreat(
     """
     stage, start = hand.stage, start or hand.felt()
     from_n, noise_n = start.force_n, SIGMAS * start.noise_n
+    live = LiveSamples(hand.force, hand.clock)
 
     def look() -> None:
-        for one in _fresh(hand.force):
+        # A sensor that feels nothing ends no lift out of a skin that it may not feel.
+        for one in _fresh(hand.force) if math.isinf(most_n) else live.take():
             _check_lift(hand.mounting.to_skin(one.force_n), from_n, rise_n + noise_n, most_n + noise_n)
 
     x, y, z = stage.position_m() if not isinstance(stage, Homing) else (0.0, 0.0, 0.0)

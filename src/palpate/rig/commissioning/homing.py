@@ -7,18 +7,18 @@ import threading
 from contextlib import suppress
 from dataclasses import replace
 
-from palpate.core import NS_PER_S, Clock, DeviceError, ForceSensor, Stage
+from palpate.core import Clock, DeviceError, ForceSensor, Stage
 from palpate.devices import Mounting, Reason, Tripped
-from palpate.devices.device_proxies import PlainForceSource
 from palpate.devices.force_bias import Force
 from palpate.rig.commissioning.hand_motion import (
     LIFT_SPEED_M_S,
     POLL_S,
     RISE_N,
-    STALE_S,
     AirForce,
     Hand,
     Homing,
+    LiveSamples,
+    discard,
     lift_clear,
     mean_force,
     retreat,
@@ -89,17 +89,22 @@ def home_watched(stage: Homing, force: ForceSensor, clock: Clock) -> None:
         DeviceError: the stage fails.
     """
     air_n = mean_force(force, Mounting(), clock).force_n
+    discard(force)
+    live = LiveSamples(force, clock)
     ended = threading.Event()
     doubts: list[Tripped] = []
 
     def watch() -> None:
-        newest_ns = clock.now_ns()
         while not (doubts or ended.wait(POLL_S)):
-            newest_ns, doubt = _look(force, air_n, newest_ns, clock.now_ns())
-            if doubt is not None:
-                doubts.append(doubt)
-                with suppress(DeviceError):  # its place is lost, which the caller is told
-                    stage.stop()
+            try:
+                _look(live, air_n)
+            except DeviceError as e:
+                doubts.append(Tripped(Reason.FORCE_SENSOR, str(e)))
+            except Tripped as e:
+                doubts.append(e)
+        if doubts:
+            with suppress(DeviceError):  # its place is lost, which the caller is told
+                stage.stop()
 
     watcher = threading.Thread(target=watch, daemon=True)
     watcher.start()
@@ -116,24 +121,10 @@ def home_watched(stage: Homing, force: ForceSensor, clock: Clock) -> None:
         raise doubts[0]
 
 
-def _look(force: ForceSensor, air_n: Force, newest_ns: int, now_ns: int) -> tuple[int, Tripped | None]:
-    """Time of the newest sample, and what is wrong with the samples since the last look."""
-    try:
-        samples = PlainForceSource(force).drain()
-    except DeviceError as e:
-        return newest_ns, Tripped(Reason.FORCE_SENSOR, str(e))
-    for one in samples:
-        if one.fault:
-            return newest_ns, Tripped(Reason.FORCE_FAULT, f"the force sensor reports: {one.fault}")
-        if math.dist(one.force_n, air_n) > HOMING_N:
-            return newest_ns, Tripped(
-                Reason.FORCE_LIMIT,
-                f"the force changed by more than {HOMING_N:g} N in homing: the probe met something. Look "
-                "where the switches are, and lift the probe by hand",
-            )
-    newest_ns = samples[-1].time_ns if samples else newest_ns
-    if now_ns - newest_ns > STALE_S * NS_PER_S:
-        return newest_ns, Tripped(
-            Reason.FORCE_STALE, f"no force came for {STALE_S:g} s while the stage homed"
+def _look(live: LiveSamples, air_n: Force) -> None:
+    if any(math.dist(one.force_n, air_n) > HOMING_N for one in live.take()):
+        raise Tripped(
+            Reason.FORCE_LIMIT,
+            f"the force changed by more than {HOMING_N:g} N in homing: the probe met something. Look where "
+            "the switches are, and lift the probe by hand",
         )
-    return newest_ns, None

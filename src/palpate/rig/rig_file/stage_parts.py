@@ -76,7 +76,7 @@ class GrblPart(Part):
             never assumed: three numbers [mm], or "counts" for the controller's machine coordinates.
         home: run to the switches when the rig is opened, after the probe was lifted by force.
         steps_per_mm, direction_mask: $100 to $102, and $3, as the controller must have them; others are
-            refused.
+            refused. Nothing moves without them.
         top_speed_mm_s, latency_s, boot_s, reply_s, stop_s, home_s: see `GrblSpec`; left out, its own.
     """
 
@@ -134,7 +134,8 @@ class MarlinPart(Part):
         reference: Position at which the operator may confirm that the stage stands (`--position reference`)
             [mm]. It is never assumed.
         home: run to the switches when the rig is opened, after the probe was lifted by force.
-        steps_per_mm: M92 X, Y, Z, as the controller must count; another scale is refused.
+        steps_per_mm: M92 X, Y, Z, as the controller must count; another scale is refused. Nothing moves
+            without it.
         sudden_mm_s: fastest speed from which it stops dead without losing steps; left out, its jerk (M205).
         top_speed_mm_s, latency_s, queued_s, boot_s, reply_s, stop_s, home_s: see `MarlinSpec`; left out, its
             own.
@@ -288,9 +289,17 @@ def _placed(
 def _check_scale(stage: GrblStage | MarlinStage, part: GrblPart | MarlinPart) -> None:
     """Refuse a controller that counts other steps per millimeter than the rig's file states."""
     found, stated = stage.steps_per_mm, part.steps_per_mm
-    if stated is None or all(
-        math.isclose(a, b, rel_tol=SAME_SCALE) for a, b in zip(found, stated, strict=True)
-    ):
+    mask = getattr(stage, "direction_mask", None)
+    if stated is None or (mask is not None and getattr(part, "direction_mask", None) is None):
+        counted = f"steps_per_mm = [{', '.join(f'{steps:g}' for steps in found)}]"
+        raise InputError(
+            "the rig's file does not state the controller's scale and directions, so that a change of them "
+            f"would go unseen; after a look at the machine, add {counted}"
+            + ("" if mask is None else f" and direction_mask = {mask}")
+            + " under [stage]",
+            code="scale-not-stated",
+        )
+    if all(math.isclose(a, b, rel_tol=SAME_SCALE) for a, b in zip(found, stated, strict=True)):
         return
     found_text, stated_text = (", ".join(f"{steps:g}" for steps in three) for three in (found, stated))
     raise DeviceError(

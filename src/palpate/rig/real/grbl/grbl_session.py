@@ -381,7 +381,7 @@ class GrblSession:
         if suspended:
             self.link.slow_down(STOP)
             self.link.report(_SYNC_S)  # it has obeyed before it reports
-        if not self.link.reset():
+        if not (self.link.reset() or self.link.reset()):  # a banner can be lost
             self.lose("it did not come back from a reset")
             raise DeviceError(
                 "the stage's controller does not answer a reset; it may be moving: cut its power"

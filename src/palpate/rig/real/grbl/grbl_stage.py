@@ -24,6 +24,8 @@ from palpate.rig.real.grbl.grbl_supervisor import GrblMachine, GrblSpec
 from palpate.rig.real.position_evidence import WHY, PositionFault
 from palpate.rig.real.serial_port import SerialPort
 
+MAX_PULL_OFF_MM = 5.0  # of homing; the probe is lifted by 8 mm before
+
 
 class GrblStage(GcodeStage):
     """A `palpate.core.Stage`, see `GcodeStage`.
@@ -188,6 +190,12 @@ class GrblStage(GcodeStage):
                     "moved. Set $23 so that it homes away from the skin, or correct axes, or give "
                     "--position touch-off",
                     code="homing-not-confirmed",
+                )
+            if machine.pull_off_mm > MAX_PULL_OFF_MM:  # a switch that is stuck would send it down so far
+                raise DeviceError(
+                    f"$27={machine.pull_off_mm:g} mm is the way back from the switches, towards the skin; "
+                    f"{MAX_PULL_OFF_MM:g} mm are allowed; nothing moved. Set $27 to 1 to 3 mm",
+                    code="homing-pull-off",
                 )
             _home(self._session, halts)
 

@@ -55,6 +55,7 @@ class GrblMachine:
         reports: $10, what a status report shows.
         motors_hold: whether the motors keep their current at rest, $1=255.
         reversed_axes: $3, a bit for each axis that runs the other way.
+        pull_off_mm: $27, the way back from the switches [mm].
         homes_down: $23, a bit for each axis that homes towards smaller machine coordinates.
     """
 
@@ -67,6 +68,7 @@ class GrblMachine:
     motors_hold: bool = False
     reversed_axes: int = 0
     homes_down: int = 0
+    pull_off_mm: float = 1.0
 
     @classmethod
     def read(cls, settings: Mapping[int, str]) -> GrblMachine:
@@ -83,6 +85,7 @@ class GrblMachine:
             motors_hold=settings.get(1, "").split()[:1] == ["255"],
             reversed_axes=int(_number(settings, 3)),
             homes_down=int(_number(settings, 23)),
+            pull_off_mm=_number(settings, 27),
         )
 
     def homes_into_skin(self, axes: tuple[str, str, str]) -> bool:
