@@ -417,6 +417,7 @@ def test_a_rig_s_file_opens_it_at_its_reference_only_on_confirmation(bench) -> N
     one = bench(clock=MonotonicClock())
     fields = {"kind": "marlin", "port": one.terminal.path, "reference": [1.0, 2.0, -3.0]}
     limits = {"least_mm": [-5, -5, -5], "greatest_mm": [5, 5, 5], "sudden_mm_s": 2.5}
+    limits["steps_per_mm"] = [80, 80, 400]
     part = RigFile.model_validate({"name": "bench", "stage": fields | limits}).stage
     with part.open(one.clock) as stage, pytest.raises(PositionUnknownError):
         stage.position_m()
@@ -424,6 +425,9 @@ def test_a_rig_s_file_opens_it_at_its_reference_only_on_confirmation(bench) -> N
         assert stage.position_m() == pytest.approx((0.001, 0.002, -0.003))
         assert stage.travel.top_speed_m_s == pytest.approx(0.0025)
         assert stage.travel.greatest_m == pytest.approx((0.005, 0.005, 0.005))
+    unstated = RigFile.model_validate({"name": "bench", "stage": fields | limits | {"steps_per_mm": None}})
+    with refused("scale-not-stated", InputError):
+        unstated.stage.open(one.clock, position="reference")
     with pytest.raises(ValueError, match="reference"):
         RigFile.model_validate({"name": "bench", "stage": fields | limits | {"home": True}})
 

@@ -206,6 +206,8 @@ def test_what_a_file_says_of_a_stage_without_switches_reaches_its_driver(grbl_be
         port=bench.terminal.path,
         require_homed=False,
         reference=(1.0, 2.0, 3.0),
+        steps_per_mm=(250, 250, 250),
+        direction_mask=0,
         least_mm=(-10, -10, -10),
         greatest_mm=(10, 10, 10),
         top_speed_mm_s=3.0,

@@ -22,9 +22,12 @@ from palpate.rig.rig_file import open_rig
 
 pytest.importorskip("serial", reason="a stage's port needs pyserial")
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="a pseudo-terminal needs POSIX")
-GRBL = {"kind": "grbl", "boot_s": 0.05, "reply_s": 0.4}
+GRBL = {
+    "kind": "grbl", "boot_s": 0.05, "reply_s": 0.4, "steps_per_mm": [250, 250, 250], "direction_mask": 0,
+}  # fmt: skip
 MARLIN = {
     "kind": "marlin", "boot_s": 0.05, "reply_s": 0.4, "reference": [0, 0, 0],
+    "steps_per_mm": [80, 80, 400],
     "least_mm": [-50, -50, -50], "greatest_mm": [50, 50, 50],
 }  # fmt: skip
 SCALE = {"kind": "serial-scale", "unit": "g"}

@@ -16,6 +16,7 @@ from palpate.rig.real.serial_port import SerialPort
 
 KEPT = 512  # lines between a line and its answer; the longest list of settings has below 300
 MAX_READ_BYTES = 4096
+GONE = "the stage's port is gone ({}); it may still be moving: check it, then open it anew"
 
 
 class CutOffError(DeviceError):
@@ -83,7 +84,7 @@ class GcodeLink(ABC):
                 sent = self._port.write(data)
                 self.tail.send(data)
             except Exception as error:  # each system and adapter has its own kinds
-                self._bury(f"the stage's port failed on writing ({error}); check cable and power")
+                self._bury(GONE.format(error))
                 raise DeviceError(self.dead, code="port-failed") from error
             if sent != len(data):
                 self._bury(f"the stage's port took {sent} of {len(data)} bytes; check cable and power")
@@ -102,6 +103,4 @@ class GcodeLink(ABC):
                 for line in self._split(data):
                     self._take(line)
         except Exception as error:  # each system and adapter has its own kinds; none is swallowed
-            self._bury(
-                f"the stage's port is gone ({error}); it may still be moving: check it, then open it anew"
-            )
+            self._bury(GONE.format(error))
