@@ -56,7 +56,7 @@ def test_too_few_frames_are_refused(rng) -> None:
     with refused("too-few-frames", InputError):
         fit_area([rng.uniform(-1, 1, (29, 2))], [np.ones(29)], [0])
     measures, areas, which = trials(rng, 3)
-    with refused("too-few-frames", InputError, match="0 frames"):
+    with refused("too-few-frames", InputError, match="0 reference"):
         fit_area(measures, [np.full_like(a, np.nan) for a in areas], which)
     with refused("too-few-frames", InputError):
         fit_motions([np.zeros((29, 7, 2))])

@@ -133,16 +133,18 @@ def test_jogs_in_contact_at_the_upper_soft_limit_are_refused_and_press_no_harder
         touch_twice(rig.stage, rig.force, rig.limits, rig.clock, 2e-3)
 
 
-class EndsMeasuring(Turned):
+class EndsMeasuring:
     """A force sensor that repeats its last sample, or falls silent, from a moment on."""
 
     def __init__(self, rig: Rig, after_s: float, *, silent: bool) -> None:
-        super().__init__(rig, Mounting())
-        self._clock, self._silent, self._last = rig.clock, silent, rig.force.latest()
+        self._sensor, self._silent, self._last = rig.force, silent, rig.force.latest()
         self._from_ns = rig.clock.now_ns() + after_s * NS_PER_S
 
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._sensor, name)
+
     def drain(self) -> list[Wrench]:
-        samples = super().drain()
+        samples = self._sensor.drain()
         good = [one for one in samples if one.time_ns < self._from_ns]
         self._last = good[-1] if good else self._last
         late = samples[len(good) :]
