@@ -84,7 +84,7 @@ def test_bad_input_is_one_line_of_error(place, tmp_path):
     palpate.core.Lens("pinhole", (333.0, 333.0), (319.5, 239.5), (0.0,) * 5, (480, 640)).write(lens)
     for words, what in (
         ((frames, "--reference", touched), "touched or torn"),
-        ((frames, "--reference", reference, "--lens", lens), "another camera"),
+        ((frames, "--reference", reference, "--lens", lens), "another lens"),
         ((frames, "--reference", reference, "--sensor", "palm"), "patterned skin"),
         ((frames, "--reference", tmp_path / "none.png"), "not there"),
         ((tmp_path / "nothing", "--reference", reference), "not there"),
