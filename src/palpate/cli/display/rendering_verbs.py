@@ -92,8 +92,7 @@ def checked_press(mode: str, frequency_hz: float, max_hz: float, new: Path | Non
         raise InputError(f"mode {mode!r}; there are {', '.join(Mode)}")
     if not 0.1 <= frequency_hz <= max_hz:
         raise RangeError(f"presses at {frequency_hz:g} Hz; 0.1 to {max_hz:g} Hz are allowed")
-    if new is not None:
-        refuse_existing(new)
+    refuse_existing(new)
     return Mode(mode)
 
 

@@ -220,8 +220,7 @@ def specimens(
 
     if kind not in ("all", *SpecimenClass):
         raise InputError(f"class {kind!r}; there are {', '.join(SpecimenClass)}, and all")
-    if figure is not None:
-        refuse_existing(figure)
+    refuse_existing(figure)
     tip = ball_of_words("--finger", finger, finger_poisson)
     moduli = _moduli(moduli_kpa)
     classes = list(SpecimenClass) if kind == "all" else [SpecimenClass(kind)]
@@ -497,8 +496,7 @@ def bench_test(
     from palpate.softness.virtual.indentation_bench import virtual_bench_test
 
     for path in (table, figure):
-        if path is not None:
-            refuse_existing(path)
+        refuse_existing(path)
     with progress_bar() as tell:
         test = virtual_bench_test(seed=seed, progress=tell)
     fit = test.fit()
@@ -529,8 +527,8 @@ def bench_test(
             "square)"
         ),
         (
-            f"  fitted: {fit.scale:.4f} ± {fit.scale_error:.4f} of p A(s), a sleeve of {fit.sleeve_n_m:.1f} N/m, "
-            f"friction {fit.friction_n * 1e3:.1f} mN"
+            f"  fitted: {fit.scale:.4f} ± {fit.scale_error:.4f} of p A(s), a sleeve of {fit.sleeve_n_m:.1f} "
+            f"N/m, friction {fit.friction_n * 1e3:.1f} mN"
         ),
         answer["model"],
     ]

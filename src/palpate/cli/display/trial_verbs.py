@@ -165,8 +165,7 @@ def analyze(
 
     if shape not in list(SigmoidShape):
         raise InputError(f"--shape {shape!r}; {', '.join(SigmoidShape)} are known")
-    if out is not None:
-        refuse_existing(out)
+    refuse_existing(out)
     kept = read_kept_answers(folder)
     found = analyse_experiment(
         kept.judgements, kept.stimuli, unanswered=kept.unanswered, simulated=kept.simulated,
