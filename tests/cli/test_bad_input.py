@@ -7,14 +7,13 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
 from tests.installed_packages import lay_package
 from typer.testing import CliRunner
 
 from palpate import CalibrationPlan, Manifest, calibrate
 from palpate.cli import app
-from palpate.version import __version__, needed_version
+from palpate.version import __version__
 
 DEVICES = """
 import numpy as np
@@ -250,24 +249,3 @@ def test_a_certificate_of_a_newer_version_says_which_version_opens_it(
         line = refusal(*words, *(["--out", tmp_path / "page.html"] if words[0] == "report" else []))
         writer = fields["software"]["palpate"]
         assert f"which reads palpate-calibration/1: open it with palpate {writer}" in line
-
-
-def test_a_calibration_of_compliance_in_another_format_says_which_is_read(tmp_path: Path) -> None:
-    np.savez(tmp_path / "tip.npz", format=np.array(9))
-    line = refusal("read", tmp_path / "press.tif", "--force", "force.csv", "--with", tmp_path / "tip.npz")
-    assert f"has format 9, and palpate {__version__} reads format 1: open it with the version" in line
-
-
-def test_a_foreign_format_of_this_very_version_is_not_sent_back_to_it() -> None:
-    text = json.dumps({"format": "palpate-run/9", "software": f"palpate {__version__}"}).encode()
-    told = needed_version(text, "palpate-run/1")
-    assert told is not None
-    assert told.endswith("which reads palpate-run/1: so the file was altered; restore it, or make it again")
-
-
-def test_what_a_newer_version_could_read_is_a_sentence_only_where_the_version_is_the_reason() -> None:
-    assert needed_version(b"{", "palpate-run/1") is None
-    assert needed_version(b"[1]", "palpate-run/1") is None
-    assert (
-        needed_version(b'{"format": "palpate-run/1", "software": "palpate 0.0.9"}', "palpate-run/1") is None
-    )

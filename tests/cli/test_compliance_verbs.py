@@ -107,23 +107,6 @@ def test_picture_and_readings_are_written_once(press, calibration, tmp_path) -> 
         assert (out / "readings.json").read_bytes() == before
 
 
-def test_a_calibration_is_told_in_json(experiment, tmp_path) -> None:
-    found = strict(compliance("calibrate", experiment, "--out", tmp_path / "a.npz", "--json").output)
-    rigid, *soft = (one["stiffness_N_per_mm"] for one in found["references"])
-    assert rigid is None  # infinite, which JSON has not
-    assert soft == pytest.approx([7.6, 1.1])
-    assert found["error_between_references"] > 0
-
-
-def test_a_calibration_is_never_overwritten(experiment, calibration) -> None:
-    path, _ = calibration
-    before = path.read_bytes()
-    assert (
-        "nothing is ever overwritten" in compliance("calibrate", experiment, "--out", path, status=2).stderr
-    )
-    assert path.read_bytes() == before
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("calibrated", [False, True])
 def test_specimens_are_compared(experiment, calibration, tmp_path, calibrated) -> None:
@@ -202,11 +185,6 @@ def test_groups_that_cannot_be_used_are_refused_before_a_press_is_read(
     assert not (tmp_path / "out").exists()
 
 
-def test_a_grouped_comparison_asks_for_its_table(experiment, tmp_path) -> None:
-    result = compliance("compare", experiment, "--out", tmp_path / "out", "--group", "day", status=2)
-    one_line(result, "specimen,trial,day", "S1,01,monday")
-
-
 def one_line(result, *says: str) -> None:
     assert result.stderr.startswith("palpate: ")
     assert result.stderr.count("\n") == 1
@@ -238,20 +216,6 @@ def test_what_cannot_be_read_is_said_in_one_line(experiment, press, tmp_path) ->
     one_line(
         compliance("calibrate", tmp_path / "none", "--out", tmp_path / "a.npz", status=2), "is no folder"
     )
-
-
-def test_references_without_a_known_stiffness_calibrate_nothing(experiment, tmp_path) -> None:
-    shutil.copytree(experiment, tmp_path / "presses")
-    (tmp_path / "presses" / "specimens.csv").unlink()
-    result = compliance("calibrate", tmp_path / "presses", "--out", tmp_path / "a.npz", status=2)
-    one_line(result, "inf for a rigid plate")
-    assert not (tmp_path / "a.npz").exists()
-
-
-def test_one_specimen_cannot_be_compared(experiment, tmp_path) -> None:
-    (tmp_path / "presses").mkdir()
-    shutil.copytree(experiment / "S1", tmp_path / "presses" / "S1")
-    one_line(compliance("compare", tmp_path / "presses", "--out", tmp_path / "out", status=2), "two or more")
 
 
 @pytest.fixture(scope="module")
@@ -290,12 +254,3 @@ def test_the_latency_of_a_camera_is_told_by_presses_that_come_back_and_taken_off
     assert not any(one["valid"] for one in apart["readings"])
     other = strict(compliance(*press, "--with", corrected).output)
     assert any("read with --latency" in flag for flag in other["flags"])
-
-
-def test_a_press_without_its_way_back_tells_no_latency(experiment, tmp_path) -> None:
-    said = compliance("latency", experiment / "S3", "--quiet", status=2)
-    assert "no press tells a latency" in said.stderr
-    wrong = tmp_path / "wrong.json"
-    wrong.write_text('{"valid": true}')
-    said = compliance("calibrate", experiment, "--out", tmp_path / "t.npz", "--latency", wrong, status=2)
-    assert "is no latency of a camera" in said.stderr

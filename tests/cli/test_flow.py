@@ -109,18 +109,6 @@ def test_one_page_is_no_sequence(tmp_path) -> None:
     assert not (tmp_path / "out").exists()
 
 
-def test_what_is_not_there_is_named(tmp_path) -> None:
-    said = palpate("flow", tmp_path / "none.tif", "--out", tmp_path / "out", status=2)
-    assert "none.tif" in said.stderr
-    assert not (tmp_path / "out").exists()
-
-
-def test_an_unknown_method_is_answered_with_the_known_ones(press, tmp_path) -> None:
-    said = palpate("flow", press, "--out", tmp_path / "out", "--method", "lucas", status=2)
-    assert "lucas" in said.stderr
-    assert "coarse-to-fine" in said.stderr
-
-
 def test_nothing_is_written_over(press, tmp_path) -> None:
     out = tmp_path / "out"
     out.mkdir()

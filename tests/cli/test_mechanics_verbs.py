@@ -82,11 +82,6 @@ def test_a_viscoelastic_press_loses_energy():
     assert held["force_before_return_N"] == pytest.approx(1.1770328 * 2 / 3, rel=1e-6)
 
 
-def test_a_law_takes_its_own_options_only():
-    assert "'--radius-mm'" in mechanics("hertz", *SKIN, "--depth-mm", "1", status=2).stderr
-    assert "--base" in mechanics("punch", *BALL, "--depth-mm", "1", "--base", "bonded", status=2).stderr
-
-
 @pytest.mark.parametrize(
     ("words", "says"),
     [

@@ -81,14 +81,6 @@ def test_a_recorded_run_is_checked_calibrated_and_reported_without_further_optio
     assert (seen["crop_px"], seen["beside_px"]) == ([0, 0, 128, 128], [128, 0, 128, 128])
 
 
-@pytest.mark.slow
-def test_a_recording_with_taps_states_the_delay_of_its_frames(tiny: Path, tmp_path: Path) -> None:
-    tiny.write_text(TOML.replace("taps = 0", "taps = 3").replace("[0, 0], [5, 5]", "[0, 0]"))
-    code, said, _ = typed("record", "--plan", tiny, "--out", tmp_path / "run", "--quiet")
-    assert code == 0
-    assert "ms after the force they show" in said
-
-
 def test_the_palms_protocol_is_previewed_with_its_numbers(tmp_path: Path) -> None:
     png = tmp_path / "places.png"
     code, out, _ = typed("plan", "preview", "palm", "--png", png, "--json")
@@ -114,18 +106,6 @@ def test_a_recorded_plan_is_a_sound_run_and_the_same_command_finds_it_done(
     assert frames == 2 * (1 + 2 * 2)
     assert typed(*words)[0] == 0
     assert len(Run.open(out)) == frames
-
-
-def test_another_plan_or_no_rig_is_refused_in_one_line(tiny: Path, tmp_path: Path) -> None:
-    out = tmp_path / "run"
-    typed("record", "--plan", tiny, "--out", out, "--quiet")
-    code, _, error = typed("record", "--plan", "palm-reduced", "--out", out, "--quiet")
-    assert code == 2
-    assert "another plan" in error
-    assert error.count("\n") == 1
-    code, _, error = typed("record", "--rig", "virtual:hand", "--plan", tiny, "--out", tmp_path / "other")
-    assert code == 2
-    assert "virtual:palm" in error
 
 
 @pytest.mark.slow
@@ -218,6 +198,7 @@ def test_what_cannot_be_done_by_hand_is_said_in_one_line(tmp_path: Path) -> None
     assert "no-such-port" in out
 
 
+@pytest.mark.slow
 def test_a_stop_beside_a_process_that_holds_the_rig_is_its_emergency_stop(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -53,10 +53,3 @@ def test_what_is_no_specimen_is_refused(words: tuple[str, ...], said: str) -> No
     ended = palpate("pairs", "specimens", *words)
     assert ended.exit_code != 0
     assert said in " ".join(ended.stderr.split())
-
-
-def test_no_figure_is_overwritten(tmp_path: Path) -> None:
-    (tmp_path / "classes.png").write_text("mine")
-    ended = palpate(*WORDS, "--figure", tmp_path / "classes.png")
-    assert ended.exit_code != 0
-    assert (tmp_path / "classes.png").read_text() == "mine"

@@ -43,6 +43,7 @@ def test_a_unit_that_is_not_known_is_refused_with_those_that_are(tmp_path) -> No
     assert (done.exit_code, "--unit stone: it is not known; give one of N, mN" in done.output) == (2, True)
 
 
+@pytest.mark.slow
 def test_typed_weights_are_laid_on_by_a_virtual_hand_and_label_what_lies_still(tmp_path) -> None:
     out = tmp_path / "run"
     words = ["collect", "--camera", "virtual:palm", "--scale", "typed", "--presses", "2", "--out", str(out)]

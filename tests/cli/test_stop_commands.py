@@ -16,8 +16,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from typer.testing import CliRunner
 
 from palpate import stop_request
+from palpate.cli import app
 from palpate.cli.stop_command import FIRST_BYTES, run_stop
 from palpate.devices.rpc import Address, folder_of, publish, supervisor_name
 from palpate.devices.rpc_server import RpcServer
@@ -190,7 +192,6 @@ def test_without_any_process_the_stage_s_port_gets_the_stop_first(tmp_path: Path
 
 def test_a_stop_of_a_hung_virtual_rig_is_not_confirmed_and_says_so() -> None:
     with silent_address(RIG):
-        command = [sys.executable, "-m", "palpate.cli", "rig", "stop", RIG, "--json"]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 2
+        done = CliRunner().invoke(app, ["rig", "stop", RIG, "--json"])
+    assert done.exit_code == 2
     assert json.loads(done.stdout)["error"]["code"] == "stop-not-confirmed"

@@ -17,7 +17,7 @@ from palpate.core.optional_imports import EXTRAS
 REPOSITORY = Path(__file__).resolve().parents[2]
 WALK = REPOSITORY / "tests" / "cli" / "walked_commands.py"
 EVERY = sorted({extra for _, extra in EXTRAS.values()})
-SOME = ["studio", "start", "rig"]
+SOME = ["studio", *(pytest.param(one, marks=pytest.mark.slow) for one in ("start", "rig"))]
 """First words of the commands that reach most extras."""
 
 

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import ast
-import importlib
 import re
 import subprocess
 import sys
 import tomllib
-import types
 from collections import Counter
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
@@ -55,36 +54,65 @@ def run_python(code: str, folder: Path) -> str:
     return done.stdout.strip()
 
 
-def imports_of_palpate(path: Path) -> list[tuple[str, str]]:
-    return [
-        (node.module, alias.name)
-        for node in ast.walk(ast.parse(path.read_text()))
-        if isinstance(node, ast.ImportFrom)
-        and (node.module or "").split(".")[0] in {package.name for package in PACKAGES}
-        for alias in node.names
-    ]
+def imports(tree: ast.AST) -> Iterator[tuple[str, str]]:
+    """Modules that a node imports, and the name taken from each ("" for the module itself)."""
+    match tree:
+        case ast.Import(names=aliases):
+            yield from ((alias.name, "") for alias in aliases)
+        case ast.ImportFrom(module=str(module), names=aliases):
+            yield from ((module, alias.name) for alias in aliases)
 
 
-@pytest.mark.parametrize("folder", ["tools", "benchmarks", "examples", "reproductions"])
-def test_scripts_that_seldom_run_import_only_what_exists(folder: str) -> None:
+def when_loaded(body: list[ast.stmt]) -> Iterator[tuple[str, str]]:
+    """Imports that a module makes when it loads."""
+    for node in body:
+        yield from imports(node)
+        match node:
+            case ast.If(test=test, body=then, orelse=other):
+                yield from when_loaded(other if "TYPE_CHECKING" in ast.unparse(test) else then + other)
+            case ast.With(body=then) | ast.ClassDef(body=then):
+                yield from when_loaded(then)
+            case ast.Try(body=then, orelse=other):
+                yield from when_loaded(then + other)
+
+
+@cache
+def words_of(module: str) -> set[str]:
+    return (
+        set(re.findall(r"\w+", MODULES[module].read_text(encoding="utf-8"))) if module in MODULES else set()
+    )
+
+
+def test_scripts_that_seldom_run_import_only_what_exists() -> None:
     missing = [
         f"{path.relative_to(REPOSITORY)}: {module}.{name}"
+        for folder in ("tools", "benchmarks", "examples", "reproductions")
         for path in sorted((REPOSITORY / folder).rglob("*.py"))
-        for module, name in imports_of_palpate(path)
-        if not hasattr(importlib.import_module(module), name) and f"{module}.{name}" not in MODULES
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for module, name in imports(node)
+        if module.split(".")[0] in {package.name for package in PACKAGES}
+        and name not in words_of(module)
+        and f"{module}.{name}".rstrip(".") not in MODULES
     ]
     assert not missing
 
 
 def test_every_package_offers_exactly_its_public_names() -> None:
+    """Type checkers see that what is imported exists."""
     for room in ROOMS:
-        module = importlib.import_module(room)
-        names = module.__all__
-        assert module.__doc__
+        tree = trees()[room]
+        bound = {
+            alias.asname or alias.name for node in ast.walk(tree) for alias in getattr(node, "names", ())
+        }
+        (names,) = [
+            ast.literal_eval(node.value)
+            for node in tree.body
+            if isinstance(node, ast.Assign | ast.AnnAssign) and ast.unparse(node).startswith("__all__")
+        ]
+        assert ast.get_docstring(tree), room
         assert len(names) == len(set(names)), room
-        assert not [name for name in names if not hasattr(module, name)], room
-        assert not [name for name in names if isinstance(getattr(module, name), types.ModuleType)], room
-        assert public_names(trees()[room], room) <= set(names), room
+        assert set(names) <= bound | public_names(tree, room) | {"__version__"}, room
+        assert public_names(tree, room) <= set(names), room
 
 
 def public_names(tree: ast.Module, package: str) -> set[str]:
@@ -134,25 +162,25 @@ def test_importing_palpate_and_its_verbs_loads_nothing_heavy(tmp_path: Path) -> 
     assert run_python(code, tmp_path) == ""
 
 
-def test_only_what_trains_needs_torch_and_nothing_needs_jaxtyping(tmp_path: Path) -> None:
-    code = f"""
-import importlib, sys
-
-class Without:
-    def find_spec(self, name, path=None, target=None):
-        if name.partition(".")[0] in ("torch", "jaxtyping"):
-            raise ModuleNotFoundError(f"no {{name}} in this test", name=name)
-
-sys.meta_path.insert(0, Without())
-for name in {list(MODULES)}:
-    try:
-        importlib.import_module(name)
-    except ImportError as e:
-        print(name, e)
-"""
+def test_only_what_trains_needs_torch_and_nothing_needs_jaxtyping() -> None:
+    """No other module loads one of them, itself or through what it loads, its packages included."""
+    needs = {
+        name: {part for module, one in when_loaded(tree.body) for part in (module, f"{module}.{one}")}
+        for name, tree in trees().items()
+    }
+    heavy = {
+        name for name, parts in needs.items() if {"torch", "jaxtyping"} & {p.split(".")[0] for p in parts}
+    }
+    while more := {
+        name
+        for name, parts in needs.items()
+        if name not in heavy
+        and (heavy & parts or any(part.startswith(f"{one}.") for one in heavy for part in parts))
+    }:
+        heavy |= more
     assert set(NEEDS_TORCH) <= set(MODULES)
-    refused = run_python(code, tmp_path).splitlines()
-    assert not [line for line in refused if not line.startswith(NEEDS_TORCH)]
+    assert any(name.startswith(NEEDS_TORCH) for name in heavy)
+    assert not [name for name in heavy if not name.startswith(NEEDS_TORCH)]
 
 
 def test_no_module_pickles() -> None:

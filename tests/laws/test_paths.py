@@ -13,7 +13,6 @@ import palpate
 from palpate import CalibrationPlan, Estimator, Manifest, Run, RunWriter
 from palpate.recordings import PackedSet, check, export_folder, pack, read_labels, repair
 from palpate.recordings.preparation import Preparation
-from palpate.workflows import DemoProtocol, record_demo
 
 PLAN = CalibrationPlan(("x_mm",), model="mean", split="group:press", size_px=(12, 16))
 
@@ -59,10 +58,6 @@ def test_runs_are_written_resumed_checked_repaired_and_packed(at) -> None:
     pack(Run.open(at("run")), at("packed"), Preparation(None, (2, 3), 1))
     assert len(PackedSet.open(at("packed"))) == 2
     assert Manifest.read(at("run")).sensor == "one"
-
-
-def test_a_demo_s_recording_is_made(at) -> None:
-    assert len(record_demo(at("run"), DemoProtocol(presses=1), 1, seed=0)) == 2
 
 
 def test_what_is_no_source_is_refused_alike(at) -> None:

@@ -87,6 +87,7 @@ def package() -> tuple[Names, Names]:
     return modules, dict(members)
 
 
+@cache
 def exists(name: str) -> bool:
     """Tell whether an identifier is of the package, or a listed library's or a file's name."""
     modules, members = package()

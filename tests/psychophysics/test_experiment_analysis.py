@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.psychophysics.responses import write_responses
 from tests.refusals import refused
 from typer.testing import CliRunner
 
@@ -20,7 +21,6 @@ from palpate.psychophysics import (
     Presentation,
     Stimulus,
     Task,
-    write_judgements,
     write_stimuli,
 )
 from palpate.psychophysics.analysis import analyse_experiment
@@ -158,7 +158,7 @@ def study(tmp_path) -> Path:
     for person in ("P01", "P02", "P03"):
         (tmp_path / f"sub-{person}").mkdir()
         own = [one for one in simulated(3) if one.participant == person]
-        write_judgements(tmp_path / f"sub-{person}" / "responses.csv", own)
+        write_responses(tmp_path / f"sub-{person}" / "responses.csv", own)
     return tmp_path
 
 

@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 
 import pytest
+from tests.psychophysics.responses import write_responses
 from tests.refusals import refused
 
 from palpate.core import ExistsError, InputError, LabelError, RangeError
@@ -18,7 +19,6 @@ from palpate.psychophysics import (
     checked_judgements,
     read_judgements,
     read_stimuli,
-    write_judgements,
     write_stimuli,
 )
 
@@ -34,7 +34,7 @@ BY_NAME = {one.name: one for one in STIMULI}
 
 
 def test_tables_come_back_as_they_were_written_and_are_never_overwritten(tmp_path) -> None:
-    write_judgements(tmp_path / "responses.csv", [PAIR, RANK])
+    write_responses(tmp_path / "responses.csv", [PAIR, RANK])
     write_stimuli(tmp_path / "stimuli.csv", STIMULI)
     pair, rank = read_judgements(tmp_path)
     assert pair == PAIR
@@ -42,7 +42,7 @@ def test_tables_come_back_as_they_were_written_and_are_never_overwritten(tmp_pat
     assert replace(rank, seconds=0.0) == replace(RANK, seconds=0.0)
     assert list(read_stimuli(tmp_path).values()) == STIMULI
     with pytest.raises(ExistsError):
-        write_judgements(tmp_path / "responses.csv", [PAIR])
+        write_stimuli(tmp_path / "stimuli.csv", STIMULI)
 
 
 def test_the_right_answer_is_the_softer_one_and_the_order_from_the_least_soft() -> None:
@@ -89,7 +89,7 @@ def test_a_stimulus_that_is_not_known_and_two_of_one_softness_have_no_right_answ
 
 def test_damaged_tables_are_named_by_their_row(tmp_path) -> None:
     path = tmp_path / "responses.csv"
-    write_judgements(path, [PAIR, RANK])
+    write_responses(path, [PAIR, RANK])
     good = path.read_text()
     for words, said in (
         (good.replace(",pair,", ",pare,"), "row 1"),
@@ -113,7 +113,7 @@ def test_no_answer_comes_before_its_question_or_never(seconds: float, tmp_path) 
     with refused("response-time", RangeError):
         replace(PAIR, seconds=seconds)
     path = tmp_path / "responses.csv"
-    write_judgements(path, [PAIR])
+    write_responses(path, [PAIR])
     path.write_text(path.read_text().replace(",2.500,", f",{seconds},"))
     with refused("table-row", LabelError, match="P01"):
         read_judgements(path)

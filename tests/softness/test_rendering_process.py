@@ -16,8 +16,9 @@ from tests.refusals import refused
 from palpate.core import DeviceError, InputError, PalpateError, RangeError, SafetyError
 from palpate.devices.supervisor import process_link
 from palpate.softness import Characteristic, Mode, SoftObject
-from palpate.softness.process import RenderingSession, read_bench, stop_by_name
+from palpate.softness.process import RenderingSession, read_bench
 from palpate.softness.process.rendering_messages import ObjectPieces, object_messages
+from palpate.stop_request import STOPPED, holders_of, stop_all
 
 BALL = SoftObject(
     "ball", Characteristic("area", 1e-6 * np.linspace(0.0, 100.0, 257), np.linspace(0.0, 1.6, 257) ** 1.5),
@@ -94,14 +95,16 @@ def test_a_virtual_finger_feels_the_object_and_another_within_a_second() -> None
 
 def test_devices_of_one_s_own_are_opened_by_name_and_anybody_stops_them_by_the_bench_s(own) -> None:
     bench = own()
-    assert not stop_by_name(bench.name)
+    assert not holders_of(bench.name)
     with RenderingSession(bench, LINE, Mode.BOTH) as session:
         assert wait_until(lambda: session.status().periods > 100)
         assert not session.status().simulated
-        assert stop_by_name(bench.name)
+        holders = holders_of(bench.name)
+        stop_all(holders)
+        assert STOPPED in [one.code for one in holders if one.is_supervisor]
         assert wait_until(lambda: ended(session), 1.0)
         assert "emergency stop" in session.status().why
-    assert not stop_by_name(bench.name)
+    assert not holders_of(bench.name)
 
 
 def refusal_of_another(bench) -> str:

@@ -73,7 +73,7 @@ EXPERIMENT = Kinds(
     {
         "new": "palpate.cli.display.trial_verbs:new",
         "run": "palpate.cli.display.trial_verbs:run",
-        "analyze": "palpate.cli.display.trial_analysis_verbs:analyze",
+        "analyze": "palpate.cli.display.trial_verbs:analyze",
         "export": "palpate.cli.display.trial_verbs:export",
     },
     by_word,

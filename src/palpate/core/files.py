@@ -56,9 +56,9 @@ PathText = str | os.PathLike[str]
 """A path, as a caller may give it."""
 
 
-def refuse_existing(path: Path) -> None:
-    """Raise if `path` exists in any form, a dangling link included."""
-    if os.path.lexists(path):
+def refuse_existing(path: Path | None) -> None:
+    """Raise if `path` exists in any form, a dangling link included; None names no file."""
+    if path is not None and os.path.lexists(path):
         raise ExistsError(f"{path} exists, and nothing is ever overwritten; name a new path or move it away")
 
 

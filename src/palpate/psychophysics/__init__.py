@@ -10,10 +10,8 @@ from palpate.psychophysics.judgements import (
     checked_code,
     checked_judgements,
     is_rehearsal,
-    judgement_row,
     read_judgements,
     read_stimuli,
-    write_judgements,
     write_stimuli,
 )
 from palpate.psychophysics.trial_statistics import (
@@ -28,6 +26,5 @@ from palpate.psychophysics.trial_statistics import (
 __all__ = [
     "Comparison", "Condition", "GroupedComparison", "Judgement", "Line", "Presentation", "Stimulus", "Task",
     "checked_code", "checked_judgements", "compare", "compare_grouped", "corrected_by_holm", "fit_line",
-    "is_rehearsal", "judgement_row", "mean_interval", "read_judgements", "read_stimuli",
-    "refuse_confounded", "write_judgements", "write_stimuli",
+    "is_rehearsal", "mean_interval", "read_judgements", "read_stimuli", "refuse_confounded", "write_stimuli",
 ]  # fmt: skip

@@ -248,11 +248,6 @@ def judgement_row(one: Judgement) -> dict[str, str]:
     }  # fmt: skip
 
 
-def write_judgements(path: Path, judgements: Iterable[Judgement]) -> None:
-    """Write a new table, whole or not at all."""
-    _write(path, RESPONSE_COLUMNS, map(judgement_row, judgements))
-
-
 @parser("table of stimuli", InputError)
 def read_stimuli(path: Path) -> dict[str, Stimulus]:
     """The stimuli of a table, or of ``stimuli.csv`` in a folder, by name."""
@@ -279,7 +274,12 @@ def write_stimuli(path: Path, stimuli: Iterable[Stimulus]) -> None:
         {"stimulus": one.name, "level": f"{one.level:.12g}", "unit": one.unit, "softer": str(one.softer)}
         for one in stimuli
     )
-    _write(path, STIMULUS_COLUMNS, rows)
+    text = io.StringIO(newline="")
+    table = csv.DictWriter(text, STIMULUS_COLUMNS, lineterminator="\n")
+    table.writeheader()
+    table.writerows(rows)
+    with new_file(path) as part:
+        part.write_text(text.getvalue(), encoding="utf-8")
 
 
 def _with_point(word: str) -> float:
@@ -311,12 +311,3 @@ def _rows(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
                 code="table-columns",
             )
     return rows
-
-
-def _write(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, str]]) -> None:
-    text = io.StringIO(newline="")
-    table = csv.DictWriter(text, columns, lineterminator="\n")
-    table.writeheader()
-    table.writerows(rows)
-    with new_file(path) as part:
-        part.write_text(text.getvalue(), encoding="utf-8")

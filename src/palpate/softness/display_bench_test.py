@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 
@@ -173,10 +173,10 @@ def run_bench_test(
         for i, told in enumerate(plan.pressures_pa):
             progress("pressures", i, len(plan.pressures_pa))
             at = 0.0
-            _hold(display, told, plan.settle_s, clock)
+            all(each_period(display, told, plan.settle_s, clock))
             for way, direction in steps:
                 _travel(display, told, move, at, way, plan.speed_m_s, clock)
-                _hold(display, told, plan.settle_s, clock)
+                all(each_period(display, told, plan.settle_s, clock))
                 pressure, pushed, force = _means(display, told, force_n, plan.mean_s, clock)
                 if told > 0 and abs(pushed - way) > FAR_M:
                     raise DeviceError(
@@ -201,9 +201,14 @@ def write_bench_table(test: BenchTest, path: Path) -> None:
         rows.writerows([*astuple(one), law] for one, law in zip(test.points, test.law_n, strict=True))
 
 
-def _hold(display: SoftnessDevice, told_pa: float, seconds: float, clock: Clock) -> None:
-    for _ in range(round(seconds / PERIOD_S)):
+def each_period(
+    display: SoftnessDevice, told_pa: float, seconds: float, clock: Clock
+) -> Iterator[tuple[int, int]]:
+    """Command a pressure once per period; yield the number of each period, from 1, and of all."""
+    periods = max(round(seconds / PERIOD_S), 1)
+    for i in range(1, periods + 1):
         display.set_pressure(told_pa)
+        yield i, periods
         clock.sleep(PERIOD_S)
 
 
@@ -211,24 +216,19 @@ def _travel(
     display: SoftnessDevice, told_pa: float, move: Callable[[float], None],
     start_m: float, end_m: float, speed_m_s: float, clock: Clock,
 ) -> None:  # fmt: skip
-    periods = max(round(abs(end_m - start_m) / speed_m_s / PERIOD_S), 1)
-    for i in range(1, periods + 1):
-        display.set_pressure(told_pa)
+    for i, periods in each_period(display, told_pa, abs(end_m - start_m) / speed_m_s, clock):
         move(start_m + (end_m - start_m) * i / periods)
-        clock.sleep(PERIOD_S)
 
 
 def _means(
     display: SoftnessDevice, told_pa: float, force_n: Callable[[], float], seconds: float, clock: Clock
 ) -> tuple[float, float, float]:
     rows = []
-    for _ in range(max(round(seconds / PERIOD_S), 1)):
-        display.set_pressure(told_pa)
+    for _ in each_period(display, told_pa, seconds, clock):
         seen = display.latest()
         if seen.fault:
             raise DeviceError(f"the display says: {seen.fault}")
         rows.append((seen.pressure_pa, seen.pushed_m, force_n()))
-        clock.sleep(PERIOD_S)
     pressure, pushed, force = np.mean(rows, axis=0)
     if not math.isfinite(pressure + pushed + force):
         raise DeviceError("pressure, way or force of the bench test is no number; check the sensors")

@@ -21,8 +21,8 @@ from palpate.core import (
     ndarray,
     silent,
 )
+from palpate.softness.display_bench_test import PERIOD_S, each_period
 
-PERIOD_S = 1e-3
 MIDDLE_PA = 30e3
 FREQUENCIES_HZ = (2.0, 3.0, 5.0, 8.0, 12.0, 20.0, 30.0, 45.0, 65.0, 90.0, 130.0, 180.0)
 SETTLE_S = 0.3
@@ -103,9 +103,7 @@ def _answer(
     """Complex amplitude of what is measured while sin(omega t) is told [Pa]."""
     cycle_s = 2 * math.pi / omega
     fitted_s = max(CYCLES * cycle_s, MIN_FITTED_S)
-    for _ in range(round(SETTLE_S / PERIOD_S)):
-        display.set_pressure(middle_pa)
-        clock.sleep(PERIOD_S)
+    all(each_period(display, middle_pa, SETTLE_S, clock))
     times, seen = [], []
     began_ns = clock.now_ns()
     while (time_s := 1e-9 * (clock.now_ns() - began_ns)) < cycle_s + fitted_s:

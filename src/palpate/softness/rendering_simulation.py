@@ -129,7 +129,7 @@ def simulate(
         if i % TOLD_EVERY == 0:
             progress("periods", i, periods)
     rows = np.array([STATE(one) for one in truths])
-    time, force, pushed, area, arm, pressure, _, _, work, largest = rows.T
+    time, force, pushed, area, arm, pressure, _, work, largest = rows.T
     return Rendering(
         law, frequency_hz, time, force, pushed, area, arm, pressure, np.array(told), work, float(largest[-1])
     )

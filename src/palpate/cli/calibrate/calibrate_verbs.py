@@ -230,8 +230,7 @@ def evaluate(
     from palpate.calibration.sessions import keep_evaluation
     from palpate.core.files import new_file, refuse_existing
 
-    if out is not None:
-        refuse_existing(out)
+    refuse_existing(out)
     calibration = calibration_in(calibration)
     estimator = palpate.Estimator.open(calibration)
     _check_lens(estimator.card, lens)
@@ -345,8 +344,7 @@ def compare(
     from palpate.core.files import refuse_existing
     from palpate.reports.comparison_page import compare_calibrations, comparison_text, write_comparison
 
-    if out is not None:
-        refuse_existing(out)
+    refuse_existing(out)
     comparison = compare_calibrations(calibration_in(first), calibration_in(second))
     if out is not None:
         write_comparison(comparison, out)
@@ -491,20 +489,19 @@ def adapt(
     Example: palpate adapt cal run-of-today --intervals-only --out cal-today
     """
     from palpate.calibration.adaptation import adapt as take_over
+    from palpate.calibration.sessions import reset_intervals
     from palpate.estimators.certified import read_card
     from palpate.recordings.reference_instruments import read_instruments
     from palpate.workflows.certification import REPORT_FILE
 
     stated = {} if instruments is None else read_instruments(instruments)
     _check_lens(read_card(calibration), lens)
-    if intervals_only:
-        _set_intervals_anew(calibration, run, out, stated)
-        return
+    work, text = (reset_intervals, _reset_text) if intervals_only else (take_over, _adapted_text)
     with progress_bar() as progress:
-        card = take_over(calibration, _labelled(run), out, progress, instruments=stated)
+        card = work(calibration, _labelled(run), out, progress, instruments=stated)
         progress("writing the report", 0, 1)
         palpate.write_report(out, out / REPORT_FILE)
-    print_found(card.model_dump(mode="json"), _adapted_text(card, out, REPORT_FILE))
+    print_found(card.model_dump(mode="json"), text(card, out, REPORT_FILE))
 
 
 def _check_lens(card: Card, lens: Path | None) -> None:
@@ -512,17 +509,6 @@ def _check_lens(card: Card, lens: Path | None) -> None:
 
     if lens is not None:
         card.input.check_lens(Lens.read(lens))
-
-
-def _set_intervals_anew(calibration: Path, run: Path, out: Path, instruments: dict[str, Any]) -> None:
-    from palpate.calibration.sessions import reset_intervals
-    from palpate.workflows.certification import REPORT_FILE
-
-    with progress_bar() as progress:
-        card = reset_intervals(calibration, _labelled(run), out, progress, instruments=instruments)
-        progress("writing the report", 0, 1)
-        palpate.write_report(out, out / REPORT_FILE)
-    print_found(card.model_dump(mode="json"), _reset_text(card, out, REPORT_FILE))
 
 
 def _reset_text(card: Any, out: Path, report: str) -> str:

@@ -15,15 +15,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Exit, Option
 
 from palpate.cli.stop_command import DEFAULT_BENCH, stop_display
-from palpate.cli.verb_support import as_json, is_quiet, print_found
+from palpate.cli.verb_support import ENDING, as_json, is_quiet, print_found
 
 if TYPE_CHECKING:
-    from palpate.softness import RenderingLaw
+    from palpate.softness import Mode, RenderingLaw, SoftObject
     from palpate.softness.control import LoopSample
     from palpate.softness.process import RenderingSession, RenderingStatus
 
 LOOK_S = 0.1
-_ENDING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 COLUMNS: dict[str, Callable[[LoopSample], float]] = {
     "time_s": lambda one: one.time_s,
     "pushed_mm": lambda one: 1e3 * one.pushed_m,
@@ -57,18 +56,19 @@ def run(
     Example: palpate display run --object foam.toml --seconds 10
     """
     from palpate.core import RangeError, SafetyError
-    from palpate.softness import Mode, read_object
+    from palpate.softness import read_object
     from palpate.softness.process import RenderingSession, read_bench
 
-    _check_wish(mode, seconds, frequency_hz, samples)
+    kind = checked_press(mode, frequency_hz, 5, samples)
+    if not seconds > 0:
+        raise RangeError(f"a rendering of {seconds:g} s; give more than 0 s")
     soft, file = read_object(object_), read_bench(bench)
-    if not 0 < peak_n <= soft.greatest_n:
-        raise RangeError(f"a press of {peak_n:g} N; {soft.name} is known from 0 to {soft.greatest_n:g} N")
+    check_peak(soft, peak_n)
     seen: list[LoopSample] = []
     with ExitStack() as stack:
         ending = stack.enter_context(_ended_by_signals())
         keep = stack.enter_context(_kept(samples))
-        session = stack.enter_context(RenderingSession(file, soft, Mode(mode), peak_n, frequency_hz))
+        session = stack.enter_context(RenderingSession(file, soft, kind, peak_n, frequency_hz))
         say = stack.enter_context(_told())
 
         def take(more: Sequence[LoopSample]) -> None:
@@ -83,19 +83,25 @@ def run(
         raise SafetyError(f"the rendering ended by itself: {status.why}")
 
 
-def _check_wish(mode: str, seconds: float, frequency_hz: float, samples: Path | None) -> None:
-    """Refuse what cannot be, before anything is opened."""
-    from palpate.core import ExistsError, InputError, RangeError
+def checked_press(mode: str, frequency_hz: float, max_hz: float, new: Path | None) -> Mode:
+    """Return the mode by its name; reject a press or a file that cannot be before anything is opened."""
+    from palpate.core import InputError, RangeError, refuse_existing
     from palpate.softness import Mode
 
     if mode not in tuple(Mode):
         raise InputError(f"mode {mode!r}; there are {', '.join(Mode)}")
-    if not seconds > 0:
-        raise RangeError(f"a rendering of {seconds:g} s; give more than 0 s")
-    if not 0.1 <= frequency_hz <= 5:
-        raise RangeError(f"presses at {frequency_hz:g} Hz; 0.1 to 5 Hz are allowed")
-    if samples is not None and samples.exists():
-        raise ExistsError(f"{samples} exists; nothing is overwritten: name another file")
+    if not 0.1 <= frequency_hz <= max_hz:
+        raise RangeError(f"presses at {frequency_hz:g} Hz; 0.1 to {max_hz:g} Hz are allowed")
+    refuse_existing(new)
+    return Mode(mode)
+
+
+def check_peak(soft: SoftObject, peak_n: float) -> None:
+    """Reject a press beyond the forces at which an object is known."""
+    from palpate.core import RangeError
+
+    if not 0 < peak_n <= soft.greatest_n:
+        raise RangeError(f"a press of {peak_n:g} N; {soft.name} is known from 0 to {soft.greatest_n:g} N")
 
 
 def _watch(
@@ -122,7 +128,7 @@ def _watch(
 def _ended_by_signals() -> Iterator[threading.Event]:
     """What Ctrl-C, a request to end and a closed terminal set; the devices are made safe in any case."""
     asked = threading.Event()
-    before = {number: signal.signal(number, lambda *_: asked.set()) for number in _ENDING}
+    before = {number: signal.signal(number, lambda *_: asked.set()) for number in ENDING}
     try:
         yield asked
     finally:

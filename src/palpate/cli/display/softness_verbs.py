@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Argument, Option
 
 from palpate.cli.display import rendering_verbs
-from palpate.cli.display.bench_test_verb import bench_test
 from palpate.cli.verb_support import group, print_found, progress_bar
 
 if TYPE_CHECKING:
@@ -19,10 +18,10 @@ if TYPE_CHECKING:
     from palpate.softness import Rendered, SoftObject, StackedSpecimen
     from palpate.softness.rendering_simulation import Rendering
 
+AGREES = 0.05  # deviation of c from 1, as in the wiring guide
 HERTZ_RADIUS = 0.5  # of a ball, to which a contact is small
 
 display_app = group("Render softness on a contact-area display and an arm.")
-display_app.command()(bench_test)
 
 Finger = Annotated[
     str, Option(help="MODULUS_KPA:RADIUS_MM of the fingertip; 7 to 33 kPa and 15 mm are reported.")
@@ -164,11 +163,10 @@ def _tell(cue: str | None, bodies: list[Body], poisson: float, force_n: float, f
             for body in (one, other)
         }
         write_pair_figure(named, finger, force_n, figure)
-        answer["figure"] = str(figure)
-    print_found(answer, _pair_text(answer))
+    _print_drawn(answer, _pair_text(answer), figure)
 
 
-def _pair_text(answer: dict[str, Any]) -> str:
+def _pair_text(answer: dict[str, Any]) -> list[str]:
     ways, areas = answer["displacement_mm"], answer["area_mm2"]
     at, equal = answer["force_ratio_at_equal_displacement"], answer["force_ratio_at_equal_area"]
     lines = [
@@ -185,7 +183,15 @@ def _pair_text(answer: dict[str, Any]) -> str:
             f"the contact's radius is {answer['contact_radius_over_ball_radius']:.2f} of a ball's, and Hertz "
             f"is good to {HERTZ_RADIUS:g}: take less force for numbers, these show the idea alone"
         )
-    return "\n".join(lines + ([f"picture: {answer['figure']}"] if "figure" in answer else []))
+    return lines
+
+
+def _print_drawn(answer: dict[str, Any], lines: list[str], figure: Path | None) -> None:
+    """Print an answer, with the picture that was drawn of it."""
+    if figure is not None:
+        answer["figure"] = str(figure)
+        lines = [*lines, f"picture: {figure}"]
+    print_found(answer, "\n".join(lines))
 
 
 def _two(values: list[float], digits: int) -> str:
@@ -209,13 +215,12 @@ def specimens(
 
     Example: palpate pairs specimens --moduli-kpa 800,500,300,150,100 --finger 100:15
     """
-    from palpate.core import ExistsError, InputError
+    from palpate.core import InputError, refuse_existing
     from palpate.softness import SpecimenClass, specimen_object, specimens as stacks_of
 
     if kind not in ("all", *SpecimenClass):
         raise InputError(f"class {kind!r}; there are {', '.join(SpecimenClass)}, and all")
-    if figure is not None and figure.exists():
-        raise ExistsError(f"{figure} exists; nothing is overwritten: name another file")
+    refuse_existing(figure)
     tip = ball_of_words("--finger", finger, finger_poisson)
     moduli = _moduli(moduli_kpa)
     classes = list(SpecimenClass) if kind == "all" else [SpecimenClass(kind)]
@@ -231,8 +236,7 @@ def specimens(
         from palpate.reports.softness_figures import write_specimen_figure
 
         write_specimen_figure({one.value: felt[one] for one in classes}, force_n, figure)
-        answer["figure"] = str(figure)
-    print_found(answer, _specimen_text(answer))
+    _print_drawn(answer, _specimen_text(answer), figure)
 
 
 def _moduli(text: str) -> list[float]:
@@ -271,7 +275,7 @@ def _class_record(stacks: Sequence[StackedSpecimen], felt: Sequence[SoftObject])
     return record
 
 
-def _specimen_text(answer: dict[str, Any]) -> str:
+def _specimen_text(answer: dict[str, Any]) -> list[str]:
     lines = [f"at {answer['force_N']:g} N"]
     for record in answer["classes"].values():
         lines += [
@@ -289,8 +293,7 @@ def _specimen_text(answer: dict[str, Any]) -> str:
         ]
         if "series_spread" in record:
             lines.append(f"    as springs in a line apart by {record['series_spread']:.2%}")
-    lines.append(answer["model"])
-    return "\n".join(lines + ([f"picture: {answer['figure']}"] if "figure" in answer else []))
+    return [*lines, answer["model"]]
 
 
 @display_app.command()
@@ -339,8 +342,7 @@ def envelope(
         from palpate.reports.softness_figures import write_envelope_figure
 
         write_envelope_figure(law, figure)
-        answer["figure"] = str(figure)
-    print_found(answer, _envelope_text(answer))
+    _print_drawn(answer, _envelope_text(answer), figure)
 
 
 def _spans(state: Rendered) -> list[dict[str, Any]]:
@@ -360,7 +362,7 @@ def _spans(state: Rendered) -> list[dict[str, Any]]:
     ]
 
 
-def _envelope_text(answer: dict[str, Any]) -> str:
+def _envelope_text(answer: dict[str, Any]) -> list[str]:
     from palpate.softness.rendering_law import LIMIT_WORDS
 
     lines = [f"{answer['object']} ({answer['source']}), {answer['mode']}"]
@@ -373,7 +375,7 @@ def _envelope_text(answer: dict[str, Any]) -> str:
         answer[name] for name in ("rendered_share_of_way", "greatest_pressure_kPa", "greatest_force_N")
     )
     lines += [f"{share:.1%} of the display's way; at most {kpa:.2f} kPa and {most_n:.3f} N", answer["model"]]
-    return "\n".join(lines + ([f"picture: {answer['figure']}"] if "figure" in answer else []))
+    return lines
 
 
 @display_app.command()
@@ -395,25 +397,19 @@ def simulate(
 
     Example: palpate display simulate --object foam.toml --mode CM1 --peak-n 2 --json
     """
-    from palpate.core import ExistsError, InputError, RangeError
-    from palpate.softness import Mode, read_object
+    from palpate.core import InputError
+    from palpate.softness import read_object
     from palpate.softness.control.pressure_servo import PidServo
     from palpate.softness.rendering_simulation import simulate as press
 
-    if mode not in tuple(Mode):
-        raise InputError(f"mode {mode!r}; there are {', '.join(Mode)}")
+    kind = rendering_verbs.checked_press(mode, frequency_hz, 20, figure)
     if servo not in ("flow", "pid"):
         raise InputError(f"servo {servo!r}; there are flow and pid")
-    if not 0.1 <= frequency_hz <= 20:
-        raise RangeError(f"presses at {frequency_hz:g} Hz; 0.1 to 20 Hz are allowed")
-    if figure is not None and figure.exists():
-        raise ExistsError(f"{figure} exists; nothing is overwritten: name another file")
     soft = read_object(object_)
-    if not 0 < peak_n <= soft.greatest_n:
-        raise RangeError(f"a press of {peak_n:g} N; {soft.name} is known from 0 to {soft.greatest_n:g} N")
+    rendering_verbs.check_peak(soft, peak_n)
     with progress_bar() as tell:
         felt = press(
-            soft, Mode(mode), peak_n=peak_n, frequency_hz=frequency_hz, seed=seed, presses=presses,
+            soft, kind, peak_n=peak_n, frequency_hz=frequency_hz, seed=seed, presses=presses,
             servo=PidServo() if servo == "pid" else None, progress=tell,
         )  # fmt: skip
     answer = _simulated(felt, servo)
@@ -421,8 +417,7 @@ def simulate(
         from palpate.reports.softness_figures import write_tracking_figure
 
         write_tracking_figure(felt, figure)
-        answer["figure"] = str(figure)
-    print_found(answer, _simulated_text(answer))
+    _print_drawn(answer, _simulated_text(answer), figure)
 
 
 def _simulated(felt: Rendering, servo: str) -> dict[str, Any]:
@@ -453,7 +448,7 @@ def _simulated(felt: Rendering, servo: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _simulated_text(answer: dict[str, Any]) -> str:
+def _simulated_text(answer: dict[str, Any]) -> list[str]:
     pressed = (
         f"{answer['object']}, {answer['mode']}, presses at {answer['frequency_Hz']:g} Hz to "
         f"{answer['peak_N']:.2f} N, servo {answer['servo']}"
@@ -462,7 +457,7 @@ def _simulated_text(answer: dict[str, Any]) -> str:
         f"  at most {answer['greatest_pressure_kPa']:.1f} kPa and {answer['greatest_N']:.2f} N; the surface "
         f"moved by {answer['greatest_surface_motion_mm']:.2f} mm at most"
     )
-    lines = [
+    return [
         pressed,
         f"  {answer['inside_envelope_share']:.0%} of the time in touch inside the envelope",
         _kept("area", "a rigid plate is in the display's place", answer),
@@ -471,7 +466,6 @@ def _simulated_text(answer: dict[str, Any]) -> str:
         f"  energy given back beyond what was taken: {answer['given_back_mJ']:.3f} mJ over all presses",
         answer["model"],
     ]
-    return "\n".join(lines + ([f"picture: {answer['figure']}"] if "figure" in answer else []))
 
 
 def _kept(cue: str, why_not: str, answer: dict[str, Any]) -> str:
@@ -481,6 +475,64 @@ def _kept(cue: str, why_not: str, answer: dict[str, Any]) -> str:
     inside = off["inside_envelope"]
     within = "" if inside is None else f", {inside:.2%} inside the envelope"
     return f"  force over {cue}: off by {off['all']:.2%} of the peak{within} (root mean square)"
+
+
+@display_app.command()
+def bench_test(
+    table: Annotated[Path | None, Option(help="CSV of the points; must not exist.")] = None,
+    figure: Figure = None,
+    seed: Annotated[int, Option(help="Of the sensors' noise.")] = 0,
+) -> None:
+    """Press a virtual display at several pressures, as a bench test.
+
+    Its force is compared with P = p A(s) + k s.
+
+    A lab's own display takes palpate.softness.display_bench_test.run_bench_test.
+
+    Example: palpate display bench-test --figure bench.png --json
+    """
+    from palpate.core import refuse_existing
+    from palpate.softness.display_bench_test import write_bench_table
+    from palpate.softness.virtual.indentation_bench import virtual_bench_test
+
+    for path in (table, figure):
+        refuse_existing(path)
+    with progress_bar() as tell:
+        test = virtual_bench_test(seed=seed, progress=tell)
+    fit = test.fit()
+    answer: dict[str, Any] = {
+        "points": len(test.points),
+        "peak_N": test.peak_n,
+        "law_rms_N": test.rms_n,
+        "law_rms_of_peak": test.rms_n / test.peak_n,
+        "scale": fit.scale,
+        "scale_standard_error": fit.scale_error,
+        "sleeve_N_per_m": fit.sleeve_n_m,
+        "friction_N": fit.friction_n,
+        "fit_rms_N": fit.rms_n,
+        "scale_within_5_percent": abs(fit.scale - 1) <= AGREES,
+        "model": "simulated: no device was measured",
+    }
+    if table is not None:
+        write_bench_table(test, table)
+        answer["table"] = str(table)
+    if figure is not None:
+        from palpate.reports.softness_figures import write_bench_test_figure
+
+        write_bench_test_figure(test, figure)
+    lines = [
+        (
+            f"{len(test.points)} points to {test.peak_n:.2f} N: the law P = p A(s) + k s is off by "
+            f"{test.rms_n * 1e3:.2g} mN, {100 * test.rms_n / test.peak_n:.2g} % of the peak (root mean "
+            "square)"
+        ),
+        (
+            f"  fitted: {fit.scale:.4f} ± {fit.scale_error:.4f} of p A(s), a sleeve of {fit.sleeve_n_m:.1f} "
+            f"N/m, friction {fit.friction_n * 1e3:.1f} mN"
+        ),
+        answer["model"],
+    ]
+    _print_drawn(answer, lines, figure)
 
 
 display_app.command("run")(rendering_verbs.run)

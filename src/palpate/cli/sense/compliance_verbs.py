@@ -46,8 +46,7 @@ def read(
     """
     from palpate.calibration.compliance import CameraLatency, press_record, read_press
 
-    if out is not None:
-        refuse_existing(out)
+    refuse_existing(out)
     cues, touch = read_press(
         press, force, calibration=calibration,
         force_column=force_column, position_column=position_column, rate_hz=rate_hz,

@@ -70,8 +70,7 @@ def fringe_order(
     from palpate.core import new_folder, refuse_existing
     from palpate.sensing.fringe_frames import read_orders
 
-    if out is not None:
-        refuse_existing(out)
+    refuse_existing(out)
     if tone not in (None, "srgb", "linear"):
         raise InputError(f"--tone {tone!r} is not srgb or linear")
     inside = None if mask is None else _mask(mask)

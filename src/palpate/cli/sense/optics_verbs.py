@@ -121,8 +121,7 @@ def fit_c(
     from palpate.calibration.stress_optic_fit import StatedErrors, fit_stress_optic
     from palpate.core.files import refuse_existing
 
-    if out is not None:
-        refuse_existing(out)
+    refuse_existing(out)
     if tone not in ("srgb", "linear"):
         raise InputError(f"--tone {tone!r} is not srgb or linear")
     light = replace(

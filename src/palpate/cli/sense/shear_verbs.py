@@ -56,8 +56,7 @@ def shear(
     )
 
     for path in (fields, html):
-        if path is not None:
-            refuse_existing(path)
+        refuse_existing(path)
     untouched = first_frame(reference)
     reader = _reader(untouched, sensor, lens, skin)
     force = None if calibration is None else ForceInTouch(ShearCalibration.load(calibration), reader)

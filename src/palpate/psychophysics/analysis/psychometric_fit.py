@@ -14,7 +14,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from scipy import optimize, special, stats
@@ -38,7 +37,6 @@ CORE_OF_PEAK = 0.01  # where its nodes are even
 BOUNDED_OF_PEAK = 0.03  # a marginal that ends above this share of its peak is not bounded there
 DEVIANCE_DRAWS = 400
 MAX_STEPS = 60
-MAX_STEEPNESS = 1e3  # of b times the least step between levels: a step function
 MIN_PROBABILITY = 1e-12
 
 Counts = Int[ndarray, " levels"]
@@ -75,38 +73,6 @@ class PsychometricFit:
     answers: int
     coverage: float
     notes: Mapping[str, str]
-
-
-class LikelyLine(NamedTuple):
-    """The linear predictor z = a + b x of greatest likelihood, its covariance, and whether there is one."""
-
-    a: float
-    b: float
-    covariance: Float[ndarray, "2 2"]
-    log_likelihood: float
-    found: bool
-
-
-def most_likely(
-    levels: Sequence[float] | ndarray,
-    given: Sequence[int] | ndarray,
-    n: Sequence[int] | ndarray,
-    shape: SigmoidShape = SigmoidShape.GAUSSIAN,
-    *,
-    guess: float = 0.0,
-    lapse: float = 0.0,
-    logarithmic: bool = False,
-) -> LikelyLine:
-    """Return the maximum-likelihood predictor a + b x, for `given` of `n` answers at each level."""
-    x, k, m = _checked(levels, given, n, logarithmic=logarithmic)
-    checked_rates(guess, lapse)
-    a, b = _scored(x, k[None].astype(float), m, shape, guess, lapse)
-    p, dp = _probability(a[:, None] + b[:, None] * x, shape, guess, lapse)
-    with np.errstate(divide="ignore"):
-        covariance = _inverse(x, (m * dp**2 / (p * (1 - p)))[0])
-    steep = abs(b[0]) * np.diff(np.unique(x)).min()
-    found = bool(steep < MAX_STEEPNESS and np.isfinite(covariance).all() and not _separated(x, k, m))
-    return LikelyLine(float(a[0]), float(b[0]), covariance, float(_log_likelihood(p, k, m)[0]), found)
 
 
 def fit_psychometric(

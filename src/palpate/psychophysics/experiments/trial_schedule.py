@@ -112,27 +112,35 @@ class PlannedTrial:
 
 
 @dataclass(frozen=True, slots=True)
-class FixedBlock:
-    """A block whose trials are known beforehand: of constant stimuli, or one ranking."""
+class BlockPlace:
+    """Place of a block in a participant's schedule; blocks of a task count from 1 in each condition."""
 
     presentation: Presentation
     condition: Condition
     task: Task
     block: int
+
+    @property
+    def place(self) -> tuple[Presentation, Condition, Task, int]:
+        return (self.presentation, self.condition, self.task, self.block)
+
+
+@dataclass(frozen=True, slots=True)
+class FixedBlock(BlockPlace):
+    """A block whose trials are known beforehand: of constant stimuli, or one ranking."""
+
     trials: tuple[tuple[str, ...], ...]
 
     @property
     def max_trials(self) -> int:
-        """How many trials there are."""
         return len(self.trials)
 
     def next(self, answers: Sequence[str]) -> tuple[str, ...] | None:
-        """What is presented after as many answers; None at the end."""
         return self.trials[len(answers)] if len(answers) < len(self.trials) else None
 
 
 @dataclass(frozen=True, slots=True)
-class StaircaseBlock:
+class StaircaseBlock(BlockPlace):
     """Interleaved staircases.
 
     Attributes:
@@ -140,10 +148,6 @@ class StaircaseBlock:
         turns: order of tracks in each round.
     """
 
-    presentation: Presentation
-    condition: Condition
-    task: Task
-    block: int
     standard: str
     sides: tuple[tuple[str, ...], ...]
     softer: tuple[bool, ...]
@@ -153,11 +157,9 @@ class StaircaseBlock:
 
     @property
     def max_trials(self) -> int:
-        """How many trials there are at most."""
         return len(self.standard_first)
 
     def next(self, answers: Sequence[str]) -> tuple[str, ...] | None:
-        """What is presented after some answers, each the name that was called softer; None at the end."""
         _, following = self._follow(answers)
         return following
 
@@ -183,13 +185,9 @@ class StaircaseBlock:
 
 
 @dataclass(frozen=True, slots=True)
-class BayesianBlock:
+class BayesianBlock(BlockPlace):
     """A block whose comparisons are placed by what the answers so far leave open."""
 
-    presentation: Presentation
-    condition: Condition
-    task: Task
-    block: int
     standard: str
     comparisons: tuple[str, ...]
     x: tuple[float, ...]
@@ -197,11 +195,9 @@ class BayesianBlock:
 
     @property
     def max_trials(self) -> int:
-        """How many trials there are."""
         return len(self.standard_first)
 
     def next(self, answers: Sequence[str]) -> tuple[str, ...] | None:
-        """What is presented after some answers, each the name that was called softer; None at the end."""
         if len(answers) >= len(self.standard_first):
             return None
         _, chosen = _placed(self.x, self.comparisons, tuple(answers))
@@ -222,6 +218,7 @@ def _placed(
 
 
 PlannedBlock = FixedBlock | StaircaseBlock | BayesianBlock
+"""Each has `max_trials` and `next`, the stimuli presented after some answers; None at the end."""
 
 
 def _pair(standard: str, comparison: str, standard_first: bool) -> tuple[str, str]:
@@ -265,9 +262,7 @@ class Schedule:
         for block in self.blocks:
             answers: list[str] = []
             while (presented := block.next(answers)) is not None:
-                planned = PlannedTrial(
-                    block.presentation, block.condition, block.task, block.block, len(answers) + 1, presented
-                )
+                planned = PlannedTrial(*block.place, len(answers) + 1, presented)
                 if i == len(judgements):
                     return planned
                 if not planned.fits(judgements[i]):
@@ -394,11 +389,10 @@ def tracks_of(
     """How the staircases of a participant stand, block by block; those not begun are left out."""
     for block in schedule.blocks:
         if isinstance(block, StaircaseBlock):
-            key = (block.presentation, block.condition, block.task, block.block)
             answers = [
                 " ".join(one.answer)
                 for one in judgements
-                if (one.presentation, one.condition, one.task, one.block) == key
+                if (one.presentation, one.condition, one.task, one.block) == block.place
             ]
             if answers:
                 yield block, block.tracks(answers)

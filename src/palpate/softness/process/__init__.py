@@ -2,6 +2,6 @@
 
 from palpate.softness.process.bench_file import BenchFile, read_bench
 from palpate.softness.process.rendering_messages import RenderingStatus
-from palpate.softness.process.rendering_session import RenderingSession, stop_by_name
+from palpate.softness.process.rendering_session import RenderingSession
 
-__all__ = ["BenchFile", "RenderingSession", "RenderingStatus", "read_bench", "stop_by_name"]
+__all__ = ["BenchFile", "RenderingSession", "RenderingStatus", "read_bench"]

@@ -21,7 +21,6 @@ from palpate.softness.process.rendering_messages import (
     status_of,
 )
 from palpate.softness.rendering_law import Mode, RenderingLaw
-from palpate.stop_request import STOPPED, holders_of, stop_all
 
 PROCESS = ("-m", "palpate.softness.process.rendering_process")
 TOLD = GoneWords(
@@ -114,10 +113,3 @@ class RenderingSession(Closing):
             self._samples.extend(samples)
         if status.state == "ended":
             self._ended.set()
-
-
-def stop_by_name(name: str) -> bool:
-    """Stop what renders under a bench's name, in whatever process of the same user; whether there was any."""
-    holders = [one for one in holders_of(name) if one.is_supervisor]
-    stop_all(holders)
-    return any(one.code == STOPPED for one in holders)

@@ -73,7 +73,6 @@ class BenchTruth:
     arm_m: float
     pressure_pa: float
     opening: float
-    finger_m: float
     work_j: float
     largest_n: float
 
@@ -134,7 +133,7 @@ class RenderingBench:
             area = float(np.interp(s[k.PUSH], self._way, self._areas))
             return BenchTruth(
                 self._steps * STEP_S, float(k.pulp_force(s, self._figures)), float(s[k.PUSH]), area,
-                float(s[k.ARM]), float(s[k.PRESSURE]) - ATMOSPHERE_PA, float(s[k.SPOOL]), float(s[k.FINGER]),
+                float(s[k.ARM]), float(s[k.PRESSURE]) - ATMOSPHERE_PA, float(s[k.SPOOL]),
                 self._work, self._largest,
             )  # fmt: skip
 

@@ -1,0 +1,11 @@
+"""A table of responses for tests, as a session writes it."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from palpate.psychophysics import Judgement
+from palpate.psychophysics.experiments.response_log import HEADER, response_lines
+
+
+def write_responses(path: Path, judgements: Iterable[Judgement]) -> None:
+    path.write_text(HEADER + response_lines(judgements, simulated=False))
