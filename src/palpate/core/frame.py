@@ -21,6 +21,10 @@ class Frame:
         exposure_s: exposure [s]; None where the camera did not say.
         sensor: which sensor the image is of, e.g. its serial number.
         name: what the frame is called at the edges: a file's name, or its index in a run.
+        index: number of the frame in its source, from 0.
+        arrived_ns: arrival on the host's monotonic clock [ns]; 0 for a stored frame.
+        lost: number of frames that the source lost before it.
+        fault: reason why the frame could not be decoded; empty otherwise. Its image is then blank.
     """
 
     image: Image
@@ -28,6 +32,15 @@ class Frame:
     exposure_s: float | None = None
     sensor: str = ""
     name: str = ""
+    index: int = 0
+    arrived_ns: int = 0
+    lost: int = 0
+    fault: str = ""
+
+    @classmethod
+    def unreadable(cls, fault: str, time_s: float, name: str, index: int = 0) -> Frame:
+        """Return a blank frame in place of one that could not be decoded."""
+        return cls(np.zeros((1, 1), np.uint8), time_s, name=name, index=index, fault=fault)
 
     def __post_init__(self) -> None:
         image = self.image

@@ -19,15 +19,6 @@ VIDEO_SUFFIXES = frozenset({".avi", ".mp4", ".mov", ".mkv", ".webm"})
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp"})
 
 
-@dataclass(frozen=True, slots=True)
-class Unreadable:
-    """A frame that could not be opened, and why."""
-
-    name: str
-    time_s: float
-    why: str
-
-
 @runtime_checkable
 class FrameStream(Protocol):
     """A finite or endless sequence of frames."""
@@ -35,8 +26,8 @@ class FrameStream(Protocol):
     def __len__(self) -> int:
         """Number of frames."""
 
-    def __iter__(self) -> Iterator[Frame | Unreadable]:
-        """The frames in order; one that cannot be opened says why and does not end the sequence."""
+    def __iter__(self) -> Iterator[Frame]:
+        """The frames in order; one that cannot be decoded has a fault and does not end the sequence."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,12 +39,12 @@ class ImageFiles:
     def __len__(self) -> int:
         return len(self.paths)
 
-    def __iter__(self) -> Iterator[Frame | Unreadable]:
+    def __iter__(self) -> Iterator[Frame]:
         for i, path in enumerate(self.paths):
             try:
-                yield Frame(read_image(path), float(i), name=path.name)
+                yield Frame(read_image(path), float(i), name=path.name, index=i)
             except ImageError as e:
-                yield Unreadable(path.name, float(i), str(e))
+                yield Frame.unreadable(str(e), float(i), path.name, i)
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,9 +83,9 @@ class SequenceFrames:
     def __len__(self) -> int:
         return len(self.sequence)
 
-    def __iter__(self) -> Iterator[Frame | Unreadable]:
+    def __iter__(self) -> Iterator[Frame]:
         for i, image in enumerate(self.sequence):
-            yield Frame(image, i / (self.rate_hz or 1.0), name=str(i))
+            yield Frame(image, i / (self.rate_hz or 1.0), name=str(i), index=i)
 
 
 def open_source(path: PathText) -> FrameStream:

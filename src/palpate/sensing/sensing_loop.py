@@ -11,7 +11,7 @@ from typing import Any
 from palpate.core import Readings
 from palpate.core.refusal import ReasonCode, Refusal
 from palpate.estimators.certified import Estimator, Zero
-from palpate.sensing.frame_sources import FrameStream, RunFrames, Unreadable
+from palpate.sensing.frame_sources import FrameStream, RunFrames
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,8 +59,8 @@ def sense(estimator: Estimator, source: FrameStream, zero: Zero | None = None) -
         zeros = zeros_of(estimator, source.run)
     for i, frame in enumerate(source):
         started = time.perf_counter()
-        if isinstance(frame, Unreadable):
-            readings = estimator.unread(frame.name, frame.time_s, Refusal(ReasonCode.UNREADABLE, frame.why))
+        if frame.fault:
+            readings = estimator.unread(frame.name, frame.time_s, Refusal(ReasonCode.UNREADABLE, frame.fault))
         else:
             readings = estimator.read(frame, zero or zeros.get(i))
         yield Sensed(frame.name, frame.time_s, readings, time.perf_counter() - started)

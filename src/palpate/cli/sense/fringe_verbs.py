@@ -98,7 +98,7 @@ def fringe_order(
             files = stack.enter_context(OrderFiles(stack.enter_context(new_folder(out))))
         for done, one in enumerate(seen, 1):
             say(json.dumps(one.to_dict(), allow_nan=False) if as_json() else _line(one))
-            if files is not None and one.found is not None and one.frame is not None:
+            if files is not None and one.found is not None:
                 files.add(one.index, one.name, one.frame.image, one.found)
             progress("frames", done, count)
 
@@ -257,7 +257,7 @@ def _stepped(
         saturated=np.asarray(grey.max(axis=0) >= SATURATED_CODE),
     )
     took = time.perf_counter() - started
-    return MappedFrame(0, paths[0].name, 0.0, Frame(images[0], name=paths[0].name), found, latency_s=took)
+    return MappedFrame(0, Frame(images[0], name=paths[0].name), found, latency_s=took)
 
 
 def _reference(text: str | None) -> tuple[int, int, float]:

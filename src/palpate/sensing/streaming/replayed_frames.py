@@ -7,6 +7,7 @@ import select
 import sys
 import time
 from collections import deque
+from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO
 
@@ -27,8 +28,8 @@ from palpate.recordings.exchange.image_stream import ImageCutter
 from palpate.recordings.manifest import MANIFEST, StoredManifest
 from palpate.recordings.run_reader import Run
 from palpate.recordings.segments import file_name, frames_in, scan, scan_growing, segment_numbers
-from palpate.sensing.frame_sources import IMAGE_SUFFIXES, FrameStream, ImageFiles, Unreadable, open_source
-from palpate.sensing.live_sources import LiveFrame, LiveSource, NoFrameYetError, live_frame
+from palpate.sensing.frame_sources import IMAGE_SUFFIXES, FrameStream, ImageFiles, open_source
+from palpate.sensing.live_sources import LiveSource, NoFrameYetError
 
 GROWS_LOOK_S = 0.02  # between two looks at what is being written
 STEADY_S = 0.3  # after which a file that cannot be read, and does not change, never will be
@@ -54,17 +55,16 @@ class FileFrames(Closing):
         self.may_change = isinstance(stream, ImageFiles)
         self.unfinished = "" if self.run is None else unfinished(self.run.path)
 
-    def grab(self, timeout_s: float) -> LiveFrame | None:
+    def grab(self, timeout_s: float) -> Frame | None:
         """The next frame; None at the end. A frame is read in less time than any time-out is worth."""
         try:
             item = next(self._frames, None)
         except RecordingError as e:
-            item = Unreadable(str(self._number), 0.0, str(e))
+            item = Frame.unreadable(str(e), 0.0, str(self._number))
         if item is None:
             return None
-        frame = live_frame(item, self._number)
         self._number += 1
-        return frame
+        return replace(item, index=self._number - 1, arrived_ns=time.monotonic_ns())
 
     def close(self) -> None:
         """Forget it; nothing is held open."""
@@ -87,11 +87,11 @@ class GrowingFrames(Closing):
         """
         self.name = str(path)
         self._path, self._idle_s = path, idle_s
-        self._found: deque[Frame | Unreadable] = deque()
+        self._found: deque[Frame] = deque()
         self._number = 0
         self._news_s: float | None = None
 
-    def grab(self, timeout_s: float) -> LiveFrame | None:
+    def grab(self, timeout_s: float) -> Frame | None:
         """Return the next frame; None after `idle_s` without one, or once its writer closed the run."""
         end_s = time.monotonic() + timeout_s
         if self._news_s is None:  # however long it takes to be looked at after it was opened
@@ -102,9 +102,8 @@ class GrowingFrames(Closing):
                 ended = item is None and self._ended()
             now_s = time.monotonic()
             if item is not None:
-                frame = live_frame(item, self._number)
                 self._number, self._news_s = self._number + 1, now_s
-                return frame
+                return replace(item, index=self._number - 1, arrived_ns=time.monotonic_ns())
             if ended or (now_s - self._news_s >= self._idle_s and not self._is_pending()):
                 return None
             if now_s >= end_s:
@@ -115,7 +114,7 @@ class GrowingFrames(Closing):
         """Forget it; nothing is held open."""
         self._idle_s = 0.0
 
-    def _next(self) -> Frame | Unreadable | None:
+    def _next(self) -> Frame | None:
         raise NotImplementedError
 
     def _ended(self) -> bool:
@@ -137,7 +136,7 @@ class FillingFolder(GrowingFrames):
         self._unread: deque[Path] = deque()
         self._size, self._since_s = -1, 0.0
 
-    def _next(self) -> Frame | Unreadable | None:
+    def _next(self) -> Frame | None:
         if not self._unread:
             names = {name for name in os.listdir(self._path) if Path(name).suffix.lower() in IMAGE_SUFFIXES}
             self._unread.extend(self._path / name for name in sorted(names - self._known))
@@ -148,11 +147,11 @@ class FillingFolder(GrowingFrames):
             return None
         path = self._unread[0]
         try:
-            item: Frame | Unreadable = Frame(read_image(path), float(self._number), name=path.name)
+            item = Frame(read_image(path), float(self._number), name=path.name)
         except ImageError as e:
             if self._is_written(path):
                 return None
-            item = Unreadable(path.name, float(self._number), str(e))
+            item = Frame.unreadable(str(e), float(self._number), path.name)
         self._unread.popleft()
         self._size = -1
         return item
@@ -179,7 +178,7 @@ class GrowingRun(GrowingFrames):
         self.manifest = StoredManifest.read(path).manifest
         self._segment, self._offset = -1, 0
 
-    def _next(self) -> Frame | Unreadable | None:
+    def _next(self) -> Frame | None:
         if not self._found and not self._look(self._segment):
             later = [number for number in segment_numbers(self._path) if number > self._segment]
             if later:
@@ -199,7 +198,7 @@ class GrowingRun(GrowingFrames):
             try:
                 image = stored.image(check=False)  # compared with its checksum a moment ago
             except PalpateError as e:
-                self._found.append(Unreadable(str(index), at_s, str(e)))
+                self._found.append(Frame.unreadable(str(e), at_s, str(index)))
                 continue
             self._found.append(Frame(image, at_s, None, self.manifest.sensor, str(index)))
         return bool(self._found)
@@ -276,7 +275,7 @@ class PipedFrames(Closing):
         self._images: deque[bytes] = deque()
         self._number, self._first_ns, self._over = 0, 0, False
 
-    def grab(self, timeout_s: float) -> LiveFrame | None:
+    def grab(self, timeout_s: float) -> Frame | None:
         """The next image; None at the end of the stream."""
         end_s = time.monotonic() + timeout_s
         why = ""
@@ -298,19 +297,19 @@ class PipedFrames(Closing):
         self._over = True
         self._images.clear()
 
-    def _shown(self, why: str) -> LiveFrame:
+    def _shown(self, why: str) -> Frame:
         number, now_ns = self._number, time.monotonic_ns()
         self._first_ns = self._first_ns or now_ns
         at_s = (now_ns - self._first_ns) / NS_PER_S
-        item: Frame | Unreadable = Unreadable(str(number), at_s, why)
+        item = Frame.unreadable(why, at_s, str(number))
         if not why:
             try:
                 image = image_from_bytes(self._images.popleft(), Path(f"{self.name}, image {number}"))
                 item = Frame(image, at_s, name=str(number))
             except ImageError as e:
-                item = Unreadable(str(number), at_s, str(e))
+                item = Frame.unreadable(str(e), at_s, str(number))
         self._number += 1
-        return live_frame(item, number, now_ns)
+        return replace(item, index=number, arrived_ns=now_ns)
 
     def _ready(self, timeout_s: float) -> bool:
         if os.name == "nt":  # a pipe cannot be waited for: the read itself waits
