@@ -8,7 +8,7 @@ from tests.fringe_fields import LED, colours, disc
 from palpate.core import Frame, InputError
 from palpate.estimators.fringe_map import ColourReader, table_of
 from palpate.optics.colour import encode_srgb
-from palpate.sensing.frame_sources import ImageFiles
+from palpate.sensing.frame_sources import image_files
 from palpate.sensing.fringe_frames import read_orders
 
 SHARE, _, FACE = disc()
@@ -47,4 +47,4 @@ def test_an_unreadable_frame_says_why_and_ends_nothing():
 def test_a_first_frame_that_cannot_be_read_is_refused(tmp_path):
     Image.fromarray(np.full((90, 90), 40, np.uint8)).save(tmp_path / "grey.png")
     with pytest.raises(InputError, match="grey"):
-        list(read_orders(ImageFiles((tmp_path / "grey.png",)), reader()))
+        list(read_orders(image_files([tmp_path / "grey.png"]), reader()))

@@ -15,10 +15,6 @@ from palpate.sensing.shear_frames import read_touches
 from palpate.sensing.streaming.touch_readers import open_shear_reader
 
 
-class Frames(list):
-    """Frames as a stream."""
-
-
 @pytest.fixture(scope="module")
 def filmed() -> list[np.ndarray]:
     """The untouched skin of a virtual NUSense, and two presses."""
@@ -48,7 +44,7 @@ def test_live_touch_is_that_of_a_file_once_the_skin_was_zeroed(filmed) -> None:
         loop.start()
         assert loop.wait(60.0)
         assert loop.advice == ""
-    of_file = read_touches(Frames(frames), ShearReader(palpate.sensor("nusense").shear_skin(), frames[0]))
+    of_file = read_touches(frames, ShearReader(palpate.sensor("nusense").shear_skin(), frames[0]))
     expected = [touched.to_dict()["readings"] for touched in of_file]
     assert found == expected
     assert len(found) == 3

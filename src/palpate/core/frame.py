@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
+from time import monotonic_ns
 
 import numpy as np
 
@@ -41,6 +42,10 @@ class Frame:
     def unreadable(cls, fault: str, time_s: float, name: str, index: int = 0) -> Frame:
         """Return a blank frame in place of one that could not be decoded."""
         return cls(np.zeros((1, 1), np.uint8), time_s, name=name, index=index, fault=fault)
+
+    def arrived(self, index: int, at_ns: int | None = None, lost: int = 0) -> Frame:
+        """Return this frame as the next of a live source; arrival is now unless stated [ns]."""
+        return replace(self, index=index, arrived_ns=monotonic_ns() if at_ns is None else at_ns, lost=lost)
 
     def __post_init__(self) -> None:
         image = self.image

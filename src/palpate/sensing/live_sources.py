@@ -111,7 +111,7 @@ class CameraFrames(Closing):
         now_ns = time.monotonic_ns()
         arrived_ns = now_ns if self._behind_ns is None else min(stamp_ns + self._behind_ns, now_ns)
         number, self._number = self._number, self._number + 1
-        return replace(frame, index=number, arrived_ns=arrived_ns, lost=self._newly_lost())
+        return frame.arrived(number, arrived_ns, self._newly_lost())
 
     def _arrived(self) -> list[tuple[int, Frame]]:
         return self._camera.drain()
@@ -158,7 +158,7 @@ class HandFrames(CameraFrames):
         between = round((frame.time_s - self._last_s) * self.hand.camera.rate_hz) - 1
         lost = max(between, 0) if self._number else 0
         number, self._number, self._last_s = self._number, self._number + 1, frame.time_s
-        return replace(frame, index=number, arrived_ns=time.monotonic_ns(), lost=lost)
+        return frame.arrived(number, lost=lost)
 
     def _arrived(self) -> list[tuple[int, Frame]]:
         """One frame at a time, so that none waits until those after it are drawn."""

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from palpate.estimators.fringe_map import ColourTable
-    from palpate.sensing.frame_sources import FrameStream
+    from palpate.sensing.frame_sources import FileFrames
     from palpate.sensing.fringe_frames import MappedFrame, OrderReader
 
 LAMPS = ("led", "tungsten")
@@ -268,17 +268,16 @@ def _reference(text: str | None) -> tuple[int, int, float]:
     return round(y), round(x), order
 
 
-def _source(paths: list[Path], stack: ExitStack) -> FrameStream:
+def _source(paths: list[Path], stack: ExitStack) -> FileFrames:
     from palpate.core import ImageError
-    from palpate.sensing.frame_sources import ImageFiles
-    from palpate.sensing.shear_frames import open_frames
+    from palpate.sensing.frame_sources import image_files, open_source
 
     if len(paths) == 1:
-        return stack.enter_context(open_frames(paths[0]))
+        return stack.enter_context(open_source(paths[0]))
     missing = [str(path) for path in paths if not path.is_file()]
     if missing:
         raise ImageError(f"{', '.join(missing)} is not there; give images, or one folder, run or video")
-    return ImageFiles(tuple(paths))
+    return image_files(paths)
 
 
 def _mask(path: Path) -> np.ndarray:

@@ -152,6 +152,15 @@ def page_offsets(file: BinaryIO, path: Path, most: int) -> list[int]:
     return offsets
 
 
+def is_multi_page(path: Path) -> bool:
+    """Whether a file is a TIFF of several pages."""
+    try:
+        with storage_errors(path), path.open("rb") as file:
+            return len(page_offsets(file, path, MAX_PAGES)) > 1
+    except ImageError:
+        return False
+
+
 def _number(file: BinaryIO, kind: str, path: Path) -> int:
     data = file.read(struct.calcsize(kind))
     if len(data) < struct.calcsize(kind):

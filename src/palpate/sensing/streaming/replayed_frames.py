@@ -7,7 +7,6 @@ import select
 import sys
 import time
 from collections import deque
-from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO
 
@@ -23,52 +22,16 @@ from palpate.core import (
     lock,
     storage_errors,
 )
-from palpate.recordings.exchange.image_files import image_from_bytes, read_image
+from palpate.recordings.exchange.image_files import IMAGE_SUFFIXES, image_from_bytes, read_image
 from palpate.recordings.exchange.image_stream import ImageCutter
 from palpate.recordings.manifest import MANIFEST, StoredManifest
-from palpate.recordings.run_reader import Run
 from palpate.recordings.segments import file_name, frames_in, scan, scan_growing, segment_numbers
-from palpate.sensing.frame_sources import IMAGE_SUFFIXES, FrameStream, ImageFiles, open_source
+from palpate.sensing.frame_sources import open_source
 from palpate.sensing.live_sources import LiveSource, NoFrameYetError
 
 GROWS_LOOK_S = 0.02  # between two looks at what is being written
 STEADY_S = 0.3  # after which a file that cannot be read, and does not change, never will be
 CHUNK = 1 << 16
-
-
-class FileFrames(Closing):
-    """Frames of a complete source: image, video, folder, or run.
-
-    Attributes:
-        unfinished: Reason why a run is incomplete; empty otherwise.
-        may_change: Whether frame sizes may differ, as in a folder.
-    """
-
-    waits = True
-    force: ForceSensor | None = None
-
-    def __init__(self, stream: FrameStream, name: str) -> None:
-        self.name = name
-        self.run: Run | None = getattr(stream, "run", None)
-        self._frames = iter(stream)
-        self._number = 0
-        self.may_change = isinstance(stream, ImageFiles)
-        self.unfinished = "" if self.run is None else unfinished(self.run.path)
-
-    def grab(self, timeout_s: float) -> Frame | None:
-        """The next frame; None at the end. A frame is read in less time than any time-out is worth."""
-        try:
-            item = next(self._frames, None)
-        except RecordingError as e:
-            item = Frame.unreadable(str(e), 0.0, str(self._number))
-        if item is None:
-            return None
-        self._number += 1
-        return replace(item, index=self._number - 1, arrived_ns=time.monotonic_ns())
-
-    def close(self) -> None:
-        """Forget it; nothing is held open."""
-        self._frames = iter(())
 
 
 class GrowingFrames(Closing):
@@ -103,7 +66,7 @@ class GrowingFrames(Closing):
             now_s = time.monotonic()
             if item is not None:
                 self._number, self._news_s = self._number + 1, now_s
-                return replace(item, index=self._number - 1, arrived_ns=time.monotonic_ns())
+                return item.arrived(self._number - 1)
             if ended or (now_s - self._news_s >= self._idle_s and not self._is_pending()):
                 return None
             if now_s >= end_s:
@@ -226,10 +189,9 @@ def open_file_frames(path: Path, idle_s: float) -> LiveSource:
     if (path / MANIFEST).is_file():
         if idle_s > 0 and _being_written(path):
             return GrowingRun(path, idle_s)
-        return FileFrames(open_source(path), str(path))
-    if path.is_dir() and idle_s > 0:
+    elif path.is_dir() and idle_s > 0:
         return FillingFolder(path, idle_s)
-    return FileFrames(open_source(path), str(path))
+    return open_source(path)
 
 
 def _being_written(run: Path) -> bool:
@@ -309,7 +271,7 @@ class PipedFrames(Closing):
             except ImageError as e:
                 item = Frame.unreadable(str(e), at_s, str(number))
         self._number += 1
-        return replace(item, index=number, arrived_ns=now_ns)
+        return item.arrived(number, now_ns)
 
     def _ready(self, timeout_s: float) -> bool:
         if os.name == "nt":  # a pipe cannot be waited for: the read itself waits
