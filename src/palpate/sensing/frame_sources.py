@@ -7,15 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from palpate.core import Closing, ForceSensor, Frame, ImageError, InputError, PathText, RecordingError
-from palpate.recordings.exchange.image_files import IMAGE_SUFFIXES, read_image
+from palpate.recordings.exchange.image_files import IMAGE_SUFFIXES, TIFF_SUFFIXES, VIDEO_SUFFIXES, read_image
 from palpate.recordings.manifest import MANIFEST
 
 if TYPE_CHECKING:
     from palpate.recordings.exchange.frame_sequences import FrameSequence
     from palpate.recordings.run_reader import Run
-
-VIDEO_SUFFIXES = frozenset({".avi", ".mp4", ".mov", ".mkv", ".webm"})
-TIFF_SUFFIXES = frozenset({".tif", ".tiff"})
 
 
 class FileFrames(Closing):
@@ -24,7 +21,7 @@ class FileFrames(Closing):
     A frame that cannot be decoded has a fault and does not end the sequence.
 
     Attributes:
-        run: Run that is read; None for images and videos.
+        run: Run that is read, with its manifest; None for images and videos.
         clocked: Whether frame times are those of a clock; they are frame indices otherwise.
         may_change: Whether frame sizes may differ, as in a folder.
     """
@@ -44,6 +41,7 @@ class FileFrames(Closing):
         let_go: Callable[[], None] = lambda: None,
     ) -> None:
         self.name, self.run, self.clocked, self.may_change = name, run, clocked, may_change
+        self.manifest = None if run is None else run.manifest
         self._frames, self._count, self._let_go = frames, count, let_go
         self._rest: Iterator[Frame] | None = None
         self._grabbed = 0

@@ -61,9 +61,7 @@ class LiveSource(Protocol):
 
 def is_simulated(source: LiveSource) -> bool:
     """Whether frames are those of a virtual sensor, or of a run that was recorded on one."""
-    if isinstance(source, PacedFrames):
-        return is_simulated(source.played)
-    manifest = getattr(getattr(source, "run", source), "manifest", None)
+    manifest = getattr(source, "manifest", None)
     return source.name.startswith(VIRTUAL) or (manifest is not None and manifest.is_simulated)
 
 
@@ -196,7 +194,7 @@ class PacedFrames(Closing):
         self._reopened, self._repeat = reopened, repeat
         self._period_s = 1.0 / rate_hz if rate_hz > 0 else None
         self._source = reopened()
-        self.name = self._source.name
+        self.name, self.manifest = self._source.name, getattr(self._source, "manifest", None)
         self._next: Frame | None = None
         self._number, self._due_s = 0, time.monotonic()
         self._at_s = self._step_s = 0.0  # of the last frame, and from it to the next
@@ -214,11 +212,6 @@ class PacedFrames(Closing):
         time.sleep(max(self._due_s - time.monotonic(), 0.0))
         frame, self._next = self._next, None
         return frame
-
-    @property
-    def played(self) -> LiveSource:
-        """The file's own frames."""
-        return self._source
 
     def close(self) -> None:
         """Close the file."""
