@@ -17,6 +17,7 @@ import json
 import math
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -38,7 +39,7 @@ from palpate.rig.virtual import virtual_rig
 from palpate.rig.virtual.virtual_hand import HandHabits, VirtualHand
 from palpate.sensing.collection import PressCollector, Weighing
 from palpate.sensing.collection.press_collector import REST
-from palpate.workflows.press_feeds import TRANSPORT_S, TRUTH_LABELS, FedFrame
+from palpate.workflows.press_feeds import TRANSPORT_S, TRUTH_LABELS
 
 LEARNT, HELD_OUT = 40, 20
 RIG_PLAN = {"palm": "palm-reduced"}
@@ -66,7 +67,7 @@ def collect(name: str, seed: int, out: Path, label: str) -> float:
                 wanted = last is None or now_s < last.touches_s or last.holds_s[0] < now_s < last.holds_s[1]
                 if wanted:
                     at_ns, frame = hand.camera.grab()
-                    collector.on_frame(FedFrame(frame, at_ns))
+                    collector.on_frame(replace(frame, arrived_ns=at_ns))
                 clock.sleep(0.05)
                 collector.on_force(hand.force.drain())
         print(f"{label}-{part}: {collector.coverage.text}, {collector.status['refused']} refused", flush=True)

@@ -24,7 +24,7 @@ import numpy as np
 
 from palpate.core import Frame, ManualClock
 from palpate.sensing.live_loop import LiveLoop
-from palpate.sensing.live_sources import CameraFrames, LiveSource, live_frame, open_live_source
+from palpate.sensing.live_sources import CameraFrames, LiveSource, open_live_source
 from palpate.sensing.streaming.live_readers import CalibrationReader, open_reader
 
 SEED = 21
@@ -102,7 +102,7 @@ def alone(reader: CalibrationReader, frames: list[Frame]) -> tuple[np.ndarray, n
     """Milliseconds of each reading, nothing else being done: by the clock, and of the processor."""
     taken = []
     for i, frame in enumerate(frames[:20] + frames):
-        live = live_frame(frame, i)
+        live = frame.arrived(i)
         begun, worked = time.perf_counter(), time.process_time()
         reader.read(live)
         taken.append((1e3 * (time.perf_counter() - begun), 1e3 * (time.process_time() - worked)))

@@ -38,7 +38,6 @@ from palpate.devices.rpc import Address, workspace_folder
 from palpate.rig.virtual.virtual_hand import VirtualHand
 from palpate.sensing.live_client import LiveClient, launch_live
 from palpate.sensing.live_service import LiveOptions
-from palpate.sensing.live_sources import live_frame
 from palpate.sensing.streaming.live_readers import mean_image, open_reader
 from palpate.sensing.streaming.touch_readers import open_shear_reader
 
@@ -87,9 +86,9 @@ def marks_alone(frames: list[Frame]) -> float:
     """
     reader = open_shear_reader(SKIN, reference=mean_image([one.image for one in frames[:UNTOUCHED]]))
     taken = []
-    for i, frame in enumerate(frames[UNTOUCHED:]):
+    for frame in frames[UNTOUCHED:]:
         begun = time.process_time()
-        reader.read(live_frame(frame, i))
+        reader.read(frame)
         taken.append(1e3 * (time.process_time() - begun))
     return float(np.median(taken))
 

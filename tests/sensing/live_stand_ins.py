@@ -10,14 +10,14 @@ import numpy as np
 
 from palpate.core import DeviceError, Drift, Frame, Readings
 from palpate.core.reading import Reading
-from palpate.sensing.live_sources import LiveFrame, NoFrameYetError
+from palpate.sensing.live_sources import NoFrameYetError
 
 
-def numbered(number: int, *, time_s: float | None = None, level: int | None = None) -> LiveFrame:
+def numbered(number: int, *, time_s: float | None = None, level: int | None = None) -> Frame:
     """A frame that shows its number."""
     image = np.full((4, 6), number % 251 if level is None else level, np.uint8)
     at_s = number / 10 if time_s is None else time_s
-    return LiveFrame(Frame(image, at_s, name=str(number)), time.monotonic_ns(), number)
+    return Frame(image, at_s, name=str(number), index=number, arrived_ns=time.monotonic_ns())
 
 
 class HandedFrames:
@@ -32,15 +32,15 @@ class HandedFrames:
         self.name, self.waits, self.force = name, waits, force
         self.gone: str | None = None
         self.closed = 0
-        self._line: deque[LiveFrame | None] = deque()
+        self._line: deque[Frame | None] = deque()
         self._changed = threading.Condition()
 
-    def give(self, *frames: LiveFrame | None) -> None:
+    def give(self, *frames: Frame | None) -> None:
         with self._changed:
             self._line.extend(frames)
             self._changed.notify_all()
 
-    def grab(self, timeout_s: float) -> LiveFrame | None:
+    def grab(self, timeout_s: float) -> Frame | None:
         with self._changed:
             self._changed.wait_for(lambda: self._line or self.gone, timeout_s)
             if self.gone:
@@ -67,14 +67,14 @@ class MeanReader:
         self.started, self.may_end = threading.Event(), threading.Event()
         self.may_end.set()
 
-    def read(self, live: LiveFrame) -> Readings:
+    def read(self, frame: Frame) -> Readings:
         self.started.set()
         self.may_end.wait(30.0)
         time.sleep(self.takes_s)
-        self.read_numbers.append(live.number)
+        self.read_numbers.append(frame.index)
         off = float(self.zeros[-1].mean()) if self.zeros else 0.0
-        value = float(live.frame.image.mean()) - off
-        return Readings({"force_N": reading(value, live, self.valid)})
+        value = float(frame.image.mean()) - off
+        return Readings({"force_N": reading(value, frame, self.valid)})
 
     def zero(self, untouched: np.ndarray) -> Drift | None:
         self.zeros.append(untouched)
@@ -87,7 +87,7 @@ class MeanReader:
         return self.kind
 
 
-def reading(value: float, live: LiveFrame, valid: bool = True) -> Reading:
+def reading(value: float, frame: Frame, valid: bool = True) -> Reading:
     """A reading of force."""
     return Reading(
         quantity="force",
@@ -97,8 +97,8 @@ def reading(value: float, live: LiveFrame, valid: bool = True) -> Reading:
         why="" if valid else "unlike",
         drift=None,
         calibration="mean",
-        frame=live.frame.name,
-        time_s=live.frame.time_s,
+        frame=frame.name,
+        time_s=frame.time_s,
         value=value,
         low=value - 1,
         high=value + 1,

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from palpate.core import CircularReading, ClassReading, Drift, Readings
+from palpate.core import CircularReading, ClassReading, Drift, Frame, Readings
 from palpate.core.reading import (
     AlignedBox,
     MeasurementResult,
@@ -50,7 +50,7 @@ def _touched() -> TouchedFrame:
     touch = ShearTouch(
         READINGS, none, None, TouchPlaces((), 0, None, None), "moved", "camera_moved", "as calibrated"
     )
-    return TouchedFrame(0, "a.png", 0.0, None, touch)
+    return TouchedFrame(0, Frame(np.zeros((4, 4), np.uint8), name="a.png"), touch)
 
 
 def _live() -> LiveReading:

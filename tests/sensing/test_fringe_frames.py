@@ -8,7 +8,7 @@ from tests.fringe_fields import LED, colours, disc
 from palpate.core import Frame, InputError
 from palpate.estimators.fringe_map import ColourReader, table_of
 from palpate.optics.colour import encode_srgb
-from palpate.sensing.frame_sources import ImageFiles, Unreadable
+from palpate.sensing.frame_sources import image_files
 from palpate.sensing.fringe_frames import read_orders
 
 SHARE, _, FACE = disc()
@@ -38,7 +38,7 @@ def test_each_frame_of_a_growing_load_has_its_own_orders(follow):
 def test_an_unreadable_frame_says_why_and_ends_nothing():
     some = list(frames())
     other = Frame(np.zeros((40, 40, 3), np.uint8), 9.0, name="small")
-    got = list(read_orders([some[0], Unreadable("x", 1.0, "cut off"), other, some[1]], reader()))
+    got = list(read_orders([some[0], Frame.unreadable("cut off", 1.0, "x"), other, some[1]], reader()))
     assert [one.found is None for one in got] == [False, True, True, False]
     assert got[1].to_dict() == {"frame": "x", "time_s": 1.0, "read": False, "why": "cut off"}
     assert "one size" in got[2].reason
@@ -47,4 +47,4 @@ def test_an_unreadable_frame_says_why_and_ends_nothing():
 def test_a_first_frame_that_cannot_be_read_is_refused(tmp_path):
     Image.fromarray(np.full((90, 90), 40, np.uint8)).save(tmp_path / "grey.png")
     with pytest.raises(InputError, match="grey"):
-        list(read_orders(ImageFiles((tmp_path / "grey.png",)), reader()))
+        list(read_orders(image_files([tmp_path / "grey.png"]), reader()))

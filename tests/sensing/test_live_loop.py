@@ -18,7 +18,6 @@ from palpate.recordings import export_folder
 from palpate.sensing import live_loop, open_source, sense
 from palpate.sensing.live_iteration import Live, live
 from palpate.sensing.live_loop import LiveLoop, LiveReading, LiveState
-from palpate.sensing.live_sources import LiveFrame
 from palpate.sensing.streaming import live_drift, live_slots
 from palpate.sensing.streaming.live_image import ImageWatch
 from palpate.sensing.streaming.live_slots import NewestSlot
@@ -35,7 +34,7 @@ class Kept:
 
     def on_frame(self, frame, readings) -> None:
         time.sleep(self.takes_s)
-        self.frames.append(frame.number)
+        self.frames.append(frame.index)
         self.values.append(None if readings is None else readings["force_N"].value)
 
     def on_force(self, samples) -> None:
@@ -201,9 +200,9 @@ def test_the_untouched_image_is_the_mean_of_frames_and_is_taken_off() -> None:
         assert not loop.zeroing
 
 
-def frame_of(image: np.ndarray, number: int) -> LiveFrame:
+def frame_of(image: np.ndarray, number: int) -> Frame:
     grey = np.clip(np.rint(image), 0, 255).astype(np.uint8)
-    return LiveFrame(Frame(grey, number / 30), time.monotonic_ns(), number)
+    return Frame(grey, number / 30, index=number, arrived_ns=time.monotonic_ns())
 
 
 def test_flicker_is_told_at_the_rate_of_the_frames_that_show_it_not_of_those_that_came() -> None:
@@ -213,7 +212,7 @@ def test_flicker_is_told_at_the_rate_of_the_frames_that_show_it_not_of_those_tha
     for i in range(60):
         light = 1 + 0.05 * np.sin(2 * np.pi * 100 * i / 30)
         image = np.clip(np.rint(rng.normal(120 * light, 1.5, (48, 64))), 0, 255).astype(np.uint8)
-        taken.append(LiveFrame(Frame(image, i / 30), time.monotonic_ns(), 2 * i))
+        taken.append(Frame(image, i / 30, index=2 * i, arrived_ns=time.monotonic_ns()))
     source.give(*taken, None)
     with ran(source, zero_at_start=True, zero_frames=48) as loop:
         watch = ImageWatch(loop)

@@ -10,7 +10,6 @@ from palpate.calibration.compliance.compliance_calibration import calibrate_comp
 from palpate.calibration.compliance.compliance_reading import read_touch
 from palpate.core import Frame, InputError
 from palpate.core.device_protocols import Wrench
-from palpate.sensing.live_sources import LiveFrame
 from palpate.sensing.streaming.live_presses import PressReader, compliance_of
 from palpate.sensors.tactip import tactip
 from palpate.workflows.tactip_trials import record_press, specimens_at
@@ -28,7 +27,7 @@ def hand_over(reader: PressReader, force_at, end_s: float, *, frame_hz: float = 
             reader.on_force([Wrench(round(at_s * 1e9), (0.0, 0.0, force))])
         else:
             image = np.full((1, 2), round(1e3 * at_s) % 251, np.uint8)
-            reader.on_frame(LiveFrame(Frame(image, at_s), 0, 0), None)
+            reader.on_frame(Frame(image, at_s), None)
 
 
 def ramp(begin_s: float, peak_s: float, peak_n: float, end_s: float):
@@ -129,7 +128,7 @@ def test_a_press_that_comes_live_reads_as_one_that_was_recorded() -> None:
         for k, (at_s, force) in enumerate(forces):
             image = frames[0] if k < len(rest_s) and k % 10 == 0 else filmed.get(k - len(rest_s))
             if image is not None:
-                reader.on_frame(LiveFrame(Frame(image, 10.0 + at_s), 0, k), None)
+                reader.on_frame(Frame(image, 10.0 + at_s), None)
             reader.on_force([Wrench(round((10.0 + at_s) * 1e9), (0.0, 0.0, float(force)))])
         assert reader.wait(1, 120.0)
     (press,) = told

@@ -9,8 +9,6 @@ from tests.sensing.live_stand_ins import HandedFrames
 from palpate.core import Frame
 from palpate.recordings import Run
 from palpate.recordings.exchange.reading_log import ReadingLog
-from palpate.sensing.frame_sources import Unreadable
-from palpate.sensing.live_sources import live_frame
 from palpate.sensing.streaming.live_recorder import LiveRecorder
 
 
@@ -20,10 +18,10 @@ def test_a_run_is_removed_where_it_holds_neither_a_frame_nor_anything_that_was_a
     tmp_path, frames: int, noted: bool
 ) -> None:
     recorder = LiveRecorder(tmp_path / "run", HandedFrames(waits=False), only_px=(6, 8))
-    recorder.on_frame(live_frame(Unreadable("a.png", 0.0, "damaged"), 0), None)
-    recorder.on_frame(live_frame(Frame(np.zeros((8, 6), np.uint8), 0.1), 1), None)  # of another size
+    recorder.on_frame(Frame.unreadable("damaged", 0.0, "a.png"), None)
+    recorder.on_frame(Frame(np.zeros((8, 6), np.uint8), 0.1), None)  # of another size
     for _ in range(frames):
-        recorder.on_frame(live_frame(Frame(np.zeros((6, 8), np.uint8), 0.2), 2), None)
+        recorder.on_frame(Frame(np.zeros((6, 8), np.uint8), 0.2), None)
     if noted:
         (tmp_path / "run" / "notes.txt").write_text("the lamp flickers")
     for _ in range(2):

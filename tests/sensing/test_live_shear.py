@@ -10,15 +10,9 @@ from tests.sensing.live_stand_ins import HandedFrames
 import palpate
 from palpate.core import CertificateError, Frame, Pose, untouched
 from palpate.estimators.shear import ShearReader
-from palpate.sensing.frame_sources import Unreadable
 from palpate.sensing.live_loop import LiveLoop
-from palpate.sensing.live_sources import live_frame
 from palpate.sensing.shear_frames import read_touches
 from palpate.sensing.streaming.touch_readers import open_shear_reader
-
-
-class Frames(list):
-    """Frames as a stream."""
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +27,7 @@ def filmed() -> list[np.ndarray]:
 def test_live_touch_is_that_of_a_file_once_the_skin_was_zeroed(filmed) -> None:
     reader, source = open_shear_reader("nusense"), HandedFrames(waits=True)
     frames = [Frame(image, i / 12, name=str(i)) for i, image in enumerate(filmed)]
-    source.give(*(live_frame(frame, i) for i, frame in enumerate(frames)), None)
+    source.give(*frames, None)
     found = []
 
     class Keep:
@@ -50,7 +44,7 @@ def test_live_touch_is_that_of_a_file_once_the_skin_was_zeroed(filmed) -> None:
         loop.start()
         assert loop.wait(60.0)
         assert loop.advice == ""
-    of_file = read_touches(Frames(frames), ShearReader(palpate.sensor("nusense").shear_skin(), frames[0]))
+    of_file = read_touches(frames, ShearReader(palpate.sensor("nusense").shear_skin(), frames[0]))
     expected = [touched.to_dict()["readings"] for touched in of_file]
     assert found == expected
     assert len(found) == 3
@@ -58,9 +52,9 @@ def test_live_touch_is_that_of_a_file_once_the_skin_was_zeroed(filmed) -> None:
 
 def test_a_frame_of_another_size_gives_none_and_says_why(filmed) -> None:
     reader = open_shear_reader("nusense", reference=filmed[0])
-    assert len(reader.read(live_frame(Frame(np.zeros((8, 8, 3), np.uint8)), 0))) == 0
+    assert len(reader.read(Frame(np.zeros((8, 8, 3), np.uint8)))) == 0
     assert "8" in reader.needs
-    assert len(reader.read(live_frame(Unreadable("b.png", 0.0, "damaged"), 1))) == 0
+    assert len(reader.read(Frame.unreadable("damaged", 0.0, "b.png"))) == 0
 
 
 def test_a_folder_of_another_calibration_is_told_what_makes_one_of_force_by_marks(tmp_path) -> None:

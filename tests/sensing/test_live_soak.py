@@ -13,7 +13,6 @@ from tests.sensing.live_stand_ins import HandedFrames, MeanReader
 
 from palpate.core import Frame
 from palpate.sensing.live_loop import LiveLoop
-from palpate.sensing.live_sources import LiveFrame
 
 RATE_HZ, WARM_S, SOAK_S = 30.0, 10.0, 50.0
 MAX_GROWTH_MB = 4.0  # twelve frames: whatever is kept of each of 1500 is seen
@@ -45,7 +44,7 @@ def test_memory_is_flat_and_nothing_is_dropped_over_a_minute() -> None:
             due_s = max(due_s + 1 / RATE_HZ, time.monotonic())  # where all stood still, no burst follows
             time.sleep(max(due_s - time.monotonic(), 0.0))
             image = np.full((480, 640), number % 251, np.uint8)  # 0.3 MB, new each time
-            source.give(LiveFrame(Frame(image, number / RATE_HZ), time.monotonic_ns(), number))
+            source.give(Frame(image, number / RATE_HZ, index=number, arrived_ns=time.monotonic_ns()))
             number += 1
 
     with LiveLoop(lambda: source, MeanReader(), source=source, subscribers=[Newest()]) as loop:

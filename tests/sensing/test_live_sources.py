@@ -66,10 +66,10 @@ def video(path, pictures, rate_hz: float = 50.0):
 def test_a_lossless_video_gives_its_frames_and_their_times(tmp_path) -> None:
     made = images(5)
     found = all_of(open_live_source(video(tmp_path / "five.avi", made)))
-    assert [frame.number for frame in found] == [0, 1, 2, 3, 4]
-    assert [frame.frame.time_s for frame in found] == pytest.approx([0, 0.02, 0.04, 0.06, 0.08])
+    assert [frame.index for frame in found] == [0, 1, 2, 3, 4]
+    assert [frame.time_s for frame in found] == pytest.approx([0, 0.02, 0.04, 0.06, 0.08])
     for frame, image in zip(found, made, strict=True):
-        assert np.array_equal(frame.frame.image, image)
+        assert np.array_equal(frame.image, image)
     assert open_live_source(tmp_path / "five.avi").waits
 
 
@@ -81,10 +81,10 @@ def test_a_paced_video_plays_at_its_own_rate_and_goes_on_in_time_when_repeated(t
     frames = [source.grab(1.0) for _ in range(11)]
     took_s = time.monotonic() - begun_s
     assert took_s > 0.19
-    steps = np.diff([frame.frame.time_s for frame in frames])
+    steps = np.diff([frame.time_s for frame in frames])
     assert steps == pytest.approx(np.full(10, 0.02))
-    assert [frame.number for frame in frames] == list(range(11))
-    assert np.array_equal(frames[0].frame.image, frames[5].frame.image)
+    assert [frame.index for frame in frames] == list(range(11))
+    assert np.array_equal(frames[0].image, frames[5].image)
     source.close()
 
 
@@ -106,10 +106,10 @@ def test_a_folder_that_fills_gives_every_image_once_in_order(tmp_path) -> None:
     writer.start()
     found = all_of(open_live_source(tmp_path, idle_s=0.6))
     writer.join()
-    assert [frame.frame.name for frame in found] == [f"frame-{i}.png" for i in range(6)]
-    assert not [frame.why for frame in found if frame.why]
+    assert [frame.name for frame in found] == [f"frame-{i}.png" for i in range(6)]
+    assert not [frame.fault for frame in found if frame.fault]
     for frame, image in zip(found, made, strict=True):
-        assert np.array_equal(frame.frame.image, image)
+        assert np.array_equal(frame.image, image)
 
 
 def test_a_folder_that_is_taken_away_while_it_is_read_is_named(tmp_path) -> None:
@@ -144,11 +144,11 @@ def test_a_run_that_is_being_written_gives_every_frame_and_ends_with_its_writer(
     found += all_of(source)
     recorder.join()
     assert time.monotonic() - begun_s < 4.0  # by the end of the writer, not of its patience
-    assert [frame.number for frame in found] == list(range(8))
+    assert [frame.index for frame in found] == list(range(8))
     for frame, stored in zip(found, open_source(tmp_path / "run"), strict=True):
-        assert np.array_equal(frame.frame.image, stored.image)
-        assert frame.frame.time_s == pytest.approx(stored.time_s, abs=1e-9)
-        assert frame.frame.name == stored.name
+        assert np.array_equal(frame.image, stored.image)
+        assert frame.time_s == pytest.approx(stored.time_s, abs=1e-9)
+        assert frame.name == stored.name
 
 
 @pytest.mark.parametrize("provenance", [Provenance.SIMULATED, Provenance.MEASURED])
@@ -196,9 +196,9 @@ def test_standard_input_gives_images_and_then_ends() -> None:
         os.write(write, b"".join(encode(image).tobytes() for image in made))
         os.close(write)
         found = all_of(source)
-    assert [frame.number for frame in found] == [0, 1, 2]
+    assert [frame.index for frame in found] == [0, 1, 2]
     for frame, image in zip(found, made, strict=True):
-        assert np.array_equal(frame.frame.image, image)
+        assert np.array_equal(frame.image, image)
 
 
 def grabbed(source, count: int, timeout_s: float) -> list:
@@ -222,10 +222,10 @@ def test_every_frame_of_a_camera_comes_not_every_other(monkeypatch) -> None:
         found = [source.grab(1.0) for _ in range(20)]
         capture.drop(3)
         found += [source.grab(1.0) for _ in range(5)]
-    names = [int(frame.frame.name) for frame in found]
+    names = [int(frame.name) for frame in found]
     assert names == list(range(names[0], names[0] + 25))
     assert sum(frame.lost for frame in found) == 3
-    ages_s = [frame.arrived_ns / 1e9 - frame.frame.time_s for frame in found]
+    ages_s = [frame.arrived_ns / 1e9 - frame.time_s for frame in found]
     assert ages_s == pytest.approx([0.01] * 25)
 
 
@@ -295,12 +295,12 @@ def test_what_a_virtual_hand_could_not_draw_in_time_is_lost_and_counted() -> Non
         late = source.grab(0.1)
         source.let_rest(True)
         source.let_rest(False)
-    assert first.frame.time_s > 8.0
-    assert [round(10 * (one.frame.time_s - first.frame.time_s)) for one in found] == [1, 2]
+    assert first.time_s > 8.0
+    assert [round(10 * (one.time_s - first.time_s)) for one in found] == [1, 2]
     assert [one.lost for one in (first, *found)] == [0, 0, 0]
-    assert late.frame.time_s == pytest.approx(hand.now_s, abs=0.1)
-    assert late.lost == round(10 * (late.frame.time_s - found[-1].frame.time_s)) - 1 == 10
-    assert [one.number for one in (first, *found, late)] == [0, 1, 2, 3]
+    assert late.time_s == pytest.approx(hand.now_s, abs=0.1)
+    assert late.lost == round(10 * (late.time_s - found[-1].time_s)) - 1 == 10
+    assert [one.index for one in (first, *found, late)] == [0, 1, 2, 3]
     assert hand.rested == [True, False, None]
 
 
@@ -347,9 +347,9 @@ def test_a_picamera_needs_its_library_and_gives_frames_with_it(monkeypatch) -> N
     settings = UvcSettings(size_px=(64, 48), rate_hz=50.0, exposure_s=8e-3)
     with open_live_source("picamera2", settings=settings) as source:
         frame = source.grab(1.0)
-    assert frame.frame.image[0, 0].tolist() == [200, 100, 50]
-    assert frame.frame.exposure_s == pytest.approx(8e-3)
-    behind_s = frame.arrived_ns / 1e9 - frame.frame.time_s
+    assert frame.image[0, 0].tolist() == [200, 100, 50]
+    assert frame.exposure_s == pytest.approx(8e-3)
+    behind_s = frame.arrived_ns / 1e9 - frame.time_s
     assert behind_s == pytest.approx(0.0, abs=1e-6)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,12 +18,6 @@ from palpate.sensing.collection.press_collector import REST, presses_in
 from palpate.sensing.collection.press_coverage import LabelledPress
 
 TRUTHS = ("true_depth_mm", "true_force_N", "true_x_mm", "true_y_mm")
-
-
-@dataclass
-class Arrived:
-    frame: Frame
-    arrived_ns: int
 
 
 def collected(
@@ -56,7 +50,7 @@ def collected(
                     collector.label(held.force_n)
             else:
                 collector.on_force(hand.force.drain())
-            collector.on_frame(Arrived(frame, at_ns))
+            collector.on_frame(replace(frame, arrived_ns=at_ns))
     return collector
 
 
@@ -165,7 +159,7 @@ def fed(collector: PressCollector, forces: list[float], begins_s: float, fault: 
     """Ten samples a second, each beside a frame of noise."""
     for k, force_n in enumerate(forces):
         at_ns = round((begins_s + 0.1 * k) * 1e9)
-        collector.on_frame(Arrived(Frame(np.zeros((8, 8), np.uint8), at_ns / 1e9), at_ns))
+        collector.on_frame(Frame(np.zeros((8, 8), np.uint8), at_ns / 1e9, arrived_ns=at_ns))
         collector.on_force([Wrench(at_ns, (0.0, 0.0, force_n), fault=fault)])
 
 
@@ -182,5 +176,5 @@ def test_a_scale_that_falls_silent_within_a_press_is_called_so(tmp_path: Path) -
         fed(collector, [0.0] * 30 + [2.0] * 5, 1.0)
         for k in range(40):
             at_ns = round((4.5 + 0.1 * k) * 1e9)
-            collector.on_frame(Arrived(Frame(np.zeros((8, 8), np.uint8), at_ns / 1e9), at_ns))
+            collector.on_frame(Frame(np.zeros((8, 8), np.uint8), at_ns / 1e9, arrived_ns=at_ns))
         assert "said nothing" in collector.advice

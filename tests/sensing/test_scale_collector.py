@@ -14,7 +14,6 @@ from palpate.recordings import Run
 from palpate.sensing.collection.press_collector import PressCollector
 from palpate.sensing.collection.scale_collector import ScaleCollector
 from palpate.sensing.live_service import LiveOptions, LiveService
-from palpate.sensing.live_sources import LiveFrame
 
 
 class Collector(PressCollector):
@@ -54,7 +53,7 @@ class Scale:
 
 def test_the_scale_is_heard_before_each_frame_and_the_sensor_beside_never() -> None:
     collector, scale = Collector(), Scale()
-    first, second = (LiveFrame(Frame(np.zeros((2, 2), np.uint8), k), 0, k) for k in (0, 1))
+    first, second = (Frame(np.zeros((2, 2), np.uint8), k) for k in (0, 1))
     with ScaleCollector(collector, scale) as both:
         both.on_frame(first)
         both.on_force([Wrench(0, (0.0, 0.0, 99.0))])

@@ -3,10 +3,8 @@
 import cv2
 import numpy as np
 
-from palpate.core import Frame
 from palpate.recordings.exchange.frame_sequences import write_tiff
-from palpate.sensing.frame_sources import OneImage
-from palpate.sensing.shear_frames import has_clock, open_frames
+from palpate.sensing.frame_sources import open_source
 
 IMAGES = [np.full((48, 64, 3), 40 * i, np.uint8) for i in range(3)]
 
@@ -22,11 +20,10 @@ def test_only_what_states_a_rate_or_times_has_a_clock(tmp_path):
     video.release()
     found = {}
     for name in ("images", "frames.tif", "frames.avi"):
-        with open_frames(tmp_path / name) as frames:
-            found[name] = (has_clock(frames), [frame.time_s for frame in frames])
+        with open_source(tmp_path / name) as frames:
+            found[name] = (frames.clocked, [frame.time_s for frame in frames])
     assert found == {
         "images": (False, [0.0, 1.0, 2.0]),
         "frames.tif": (False, [0.0, 1.0, 2.0]),
         "frames.avi": (True, [0.0, 0.04, 0.08]),
     }
-    assert has_clock(OneImage(Frame(IMAGES[0], 0.0)))  # one frame has no history either way

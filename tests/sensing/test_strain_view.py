@@ -7,7 +7,6 @@ import pytest
 
 from palpate.core import ManualClock
 from palpate.rig.virtual.virtual_hand import HandHabits, VirtualHand
-from palpate.sensing.live_sources import LiveFrame
 from palpate.sensing.streaming.strain_view import MIN_TOLD, strain_view
 from palpate.sensing.streaming.touch_readers import ShearFrameReader
 
@@ -25,7 +24,7 @@ def shown():
     found = {}
     for number in range(80):
         at_ns, frame = hand.camera.grab()
-        reader.read(LiveFrame(frame, at_ns, number))
+        reader.read(frame)
         state = "held" if hand.held(at_ns) else "rest" if number == 1 else ""
         if state and state not in found:
             found[state] = strain_view(*reader.seen), frame.image.astype(float)

@@ -18,7 +18,7 @@ from tests.rig.serial_terminal import FakeTerminal
 
 import palpate
 from palpate.calibration.coverage.conformal import fit_intervals
-from palpate.core import DeviceError, InputError, RecordingError
+from palpate.core import DeviceError, Frame, InputError, RecordingError
 from palpate.estimators.certified import Estimator
 from palpate.estimators.session_folder import SESSION_FILE, calibration_in
 from palpate.recordings import Run, RunWriter
@@ -26,7 +26,7 @@ from palpate.sensing.collection import learning_curve
 from palpate.sensing.collection.learning_curve import curve_of
 from palpate.sensing.collection.press_collector import REST, presses_in
 from palpate.workflows.certificate_sentence import beats_the_mean, rate_beyond
-from palpate.workflows.press_feeds import FedFrame, VirtualFeed
+from palpate.workflows.press_feeds import VirtualFeed
 from palpate.workflows.start_session import StartSession
 from palpate.workflows.stored_session import STATE
 
@@ -151,7 +151,7 @@ def test_device_that_goes_leaves_what_was_collected(tmp_path: Path) -> None:
     session.take_untouched(feed)
     grab = feed.grab
 
-    def gone() -> FedFrame:
+    def gone() -> Frame:
         if feed.clock.now_ns() > 11e9:
             raise DeviceError("the camera does not answer")
         return grab()

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
+from time import monotonic_ns
 
 import numpy as np
 
@@ -21,6 +22,10 @@ class Frame:
         exposure_s: exposure [s]; None where the camera did not say.
         sensor: which sensor the image is of, e.g. its serial number.
         name: what the frame is called at the edges: a file's name, or its index in a run.
+        index: number of the frame in its source, from 0.
+        arrived_ns: arrival on the host's monotonic clock [ns]; 0 for a stored frame.
+        lost: number of frames that the source lost before it.
+        fault: reason why the frame could not be decoded; empty otherwise. Its image is then blank.
     """
 
     image: Image
@@ -28,6 +33,19 @@ class Frame:
     exposure_s: float | None = None
     sensor: str = ""
     name: str = ""
+    index: int = 0
+    arrived_ns: int = 0
+    lost: int = 0
+    fault: str = ""
+
+    @classmethod
+    def unreadable(cls, fault: str, time_s: float, name: str, index: int = 0) -> Frame:
+        """Return a blank frame in place of one that could not be decoded."""
+        return cls(np.zeros((1, 1), np.uint8), time_s, name=name, index=index, fault=fault)
+
+    def arrived(self, index: int, at_ns: int | None = None, lost: int = 0) -> Frame:
+        """Return this frame as the next of a live source; arrival is now unless stated [ns]."""
+        return replace(self, index=index, arrived_ns=monotonic_ns() if at_ns is None else at_ns, lost=lost)
 
     def __post_init__(self) -> None:
         image = self.image

@@ -145,9 +145,8 @@ class Run:
             )
         image = self._frames[index].image(check=not self._checked[index])
         self._checked[index] = 1
-        return Frame(
-            image, float(self.times_s[index]), self._abouts[index][0], self.manifest.sensor, self._name(index)
-        )
+        exposure_s, time_s = self._abouts[index][0], float(self.times_s[index])
+        return Frame(image, time_s, exposure_s, self.manifest.sensor, self._name(index), index)
 
     def frame_at(self, time_s: float) -> Frame:
         """The frame taken nearest to a time [s]; the earlier of two."""

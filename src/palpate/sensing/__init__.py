@@ -3,17 +3,16 @@
 from typing import TYPE_CHECKING
 
 from palpate.core.plugins import names_at_first_use
-from palpate.sensing.frame_sources import FrameStream, ImageFiles, RunFrames, open_source
+from palpate.sensing.frame_sources import FileFrames, open_source
 from palpate.sensing.sensing_loop import Sensed, sense
 
 if TYPE_CHECKING:
     from palpate.sensing.live_iteration import Live, live
     from palpate.sensing.live_loop import LiveLoop, LiveReading, LiveState
-    from palpate.sensing.live_sources import LiveFrame, LiveSource, open_live_source
+    from palpate.sensing.live_sources import LiveSource, open_live_source
 
 _LIVE = {
     "Live": "live_iteration",
-    "LiveFrame": "live_sources",
     "LiveLoop": "live_loop",
     "LiveReading": "live_loop",
     "LiveSource": "live_sources",
@@ -24,8 +23,8 @@ _LIVE = {
 """What loads tables and video, which the reading of one image does not need: imported when first used."""
 
 __all__ = [
-    "FrameStream", "ImageFiles", "Live", "LiveFrame", "LiveLoop", "LiveReading", "LiveSource", "LiveState",
-    "RunFrames", "Sensed", "live", "open_live_source", "open_source", "sense",
+    "FileFrames", "Live", "LiveLoop", "LiveReading", "LiveSource", "LiveState",
+    "Sensed", "live", "open_live_source", "open_source", "sense",
 ]  # fmt: skip
 
 if not TYPE_CHECKING:  # mypy accepts only the names imported above

@@ -30,7 +30,7 @@ from palpate.core.failure_log import record_failure, report_to_stderr
 from palpate.core.reading import plain_number
 from palpate.core.refusal import OF_ALL_FRAMES
 from palpate.core.shared_history import SharedHistory
-from palpate.sensing.live_sources import LiveFrame, LiveSource, NoFrameYetError
+from palpate.sensing.live_sources import LiveSource, NoFrameYetError
 from palpate.sensing.streaming.live_drift import DriftWatch
 from palpate.sensing.streaming.live_readers import FrameReader, mean_image
 from palpate.sensing.streaming.live_slots import NewestSlot, Subscriber, SubscriberLine
@@ -137,7 +137,7 @@ class LiveLoop(Closing):
         self._opener, self._source = opener, source
         self._reader = reader
         self._drift = None if reader is None else DriftWatch(reader)
-        self._frames: NewestSlot[LiveFrame] = NewestSlot()
+        self._frames: NewestSlot[Frame] = NewestSlot()
         if max_frames is not None and max_frames < 1:
             raise InputError(f"{max_frames} frames; ask for 1 or more, or None for no end")
         self._hand_over, self._left = hand_over, max_frames
@@ -377,7 +377,7 @@ class LiveLoop(Closing):
             self._let_rest(True)
         return source
 
-    def _arrive(self, frame: LiveFrame, source: LiveSource) -> None:
+    def _arrive(self, frame: Frame, source: LiveSource) -> None:
         if self._closing.is_set():
             return
         self._last_arrival_s = time.monotonic()
@@ -432,29 +432,28 @@ class LiveLoop(Closing):
             self._end(LiveState.ENDED, "")
             self._frames.close()
 
-    def _read(self, frame: LiveFrame) -> None:
-        if self._zeroing and not frame.why and not getattr(self._source, "touched", False):
-            self._collect_zero(frame.frame)
+    def _read(self, frame: Frame) -> None:
+        if self._zeroing and not frame.fault and not getattr(self._source, "touched", False):
+            self._collect_zero(frame)
         reader = self._reader
         readings = None if reader is None else reader.read(frame)
         done_ns = time.monotonic_ns()
-        self._kept.read(frame.arrived_ns, done_ns, broken=bool(frame.why))
+        self._kept.read(frame.arrived_ns, done_ns, broken=bool(frame.fault))
         drift = self._drift
-        if drift is not None and readings is not None and not frame.why:
-            drift.frame(frame.frame.image, readings)
+        if drift is not None and readings is not None and not frame.fault:
+            drift.frame(frame.image, readings)
         self._tell(frame, readings, done_ns)
 
-    def _tell(self, frame: LiveFrame, readings: Readings | None, done_ns: int) -> None:
-        of = frame.frame
+    def _tell(self, frame: Frame, readings: Readings | None, done_ns: int) -> None:
         latest = LiveReading(
-            of.name or str(frame.number),
-            frame.number,
-            of.time_s,
+            frame.name or str(frame.index),
+            frame.index,
+            frame.time_s,
             readings,
             (done_ns - frame.arrived_ns) / 1e9,
-            of.image,
-            self._force_at(of.time_s),
-            frame.why,
+            frame.image,
+            self._force_at(frame.time_s),
+            frame.fault,
             self._name,
             self._kept.now(TOLD_S),
         )

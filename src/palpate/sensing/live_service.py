@@ -24,6 +24,7 @@ import cv2
 
 from palpate.calibration.compliance.compliance_calibration import ComplianceCalibration
 from palpate.core import (
+    Frame,
     InputError,
     MonotonicClock,
     PalpateError,
@@ -43,7 +44,6 @@ from palpate.sensing.live_loop import LiveLoop, LiveState
 from palpate.sensing.live_sources import (
     VIRTUAL,
     HandFrames,
-    LiveFrame,
     LiveSource,
     is_simulated,
     open_live_source,
@@ -405,7 +405,7 @@ class Nudge:
     def __init__(self, server: RpcServer) -> None:
         self._server = server
 
-    def on_frame(self, frame: LiveFrame, readings: Readings | None) -> None:
+    def on_frame(self, frame: Frame, readings: Readings | None) -> None:
         """Tell of it."""
         self._server.nudge()
 

@@ -9,11 +9,9 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
-
-import numpy as np
 
 from palpate.core import (
     Closing,
@@ -24,7 +22,6 @@ from palpate.core import (
     ImageError,
     InputError,
 )
-from palpate.sensing.frame_sources import Unreadable
 
 VIRTUAL = "virtual:"
 STDIN = "-"
@@ -37,24 +34,6 @@ BEHIND_S = 0.5  # by which a virtual frame that is drawn may lag behind its time
 
 class NoFrameYetError(DeviceError):
     """No frame came within the time given, and the source has not ended."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LiveFrame:
-    """Frame with its arrival.
-
-    Attributes:
-        frame: Image and the time by the source's clock.
-        arrived_ns: Arrival on the host's monotonic clock [ns].
-        lost: Number of frames that the source lost before it.
-        why: Reason why it could not be decoded; empty otherwise. Its frame is then blank.
-    """
-
-    frame: Frame
-    arrived_ns: int
-    number: int
-    lost: int = 0
-    why: str = ""
 
 
 @runtime_checkable
@@ -73,7 +52,7 @@ class LiveSource(Protocol):
     def force(self) -> ForceSensor | None:
         """Force sensor beside the camera; None where there is none."""
 
-    def grab(self, timeout_s: float) -> LiveFrame | None:
+    def grab(self, timeout_s: float) -> Frame | None:
         """The next frame; None once it has ended."""
 
     def close(self) -> None:
@@ -82,19 +61,8 @@ class LiveSource(Protocol):
 
 def is_simulated(source: LiveSource) -> bool:
     """Whether frames are those of a virtual sensor, or of a run that was recorded on one."""
-    if isinstance(source, PacedFrames):
-        return is_simulated(source.played)
-    manifest = getattr(getattr(source, "run", source), "manifest", None)
+    manifest = getattr(source, "manifest", None)
     return source.name.startswith(VIRTUAL) or (manifest is not None and manifest.is_simulated)
-
-
-def live_frame(item: Frame | Unreadable, number: int, arrived_ns: int | None = None) -> LiveFrame:
-    """A frame, or why there is none, as it arrives."""
-    at_ns = time.monotonic_ns() if arrived_ns is None else arrived_ns
-    if isinstance(item, Unreadable):
-        nothing = Frame(np.zeros((1, 1), np.uint8), item.time_s, name=item.name)
-        return LiveFrame(nothing, at_ns, number, why=item.why)
-    return LiveFrame(item, at_ns, number)
 
 
 class CameraFrames(Closing):
@@ -126,7 +94,7 @@ class CameraFrames(Closing):
         self._waiting: deque[tuple[int, Frame]] = deque()
         self._number = self._lost_before = 0
 
-    def grab(self, timeout_s: float) -> LiveFrame:
+    def grab(self, timeout_s: float) -> Frame:
         """The next frame."""
         end_s = time.monotonic() + timeout_s
         while not self._waiting:
@@ -141,7 +109,7 @@ class CameraFrames(Closing):
         now_ns = time.monotonic_ns()
         arrived_ns = now_ns if self._behind_ns is None else min(stamp_ns + self._behind_ns, now_ns)
         number, self._number = self._number, self._number + 1
-        return LiveFrame(frame, arrived_ns, number, self._newly_lost())
+        return frame.arrived(number, arrived_ns, self._newly_lost())
 
     def _arrived(self) -> list[tuple[int, Frame]]:
         return self._camera.drain()
@@ -173,22 +141,22 @@ class HandFrames(CameraFrames):
         hand.camera.grab(FIRST_S)  # the first picture of all may take seconds to draw
         self._last_s = self._skipped_to_now().time_s
 
-    def grab(self, timeout_s: float) -> LiveFrame:
+    def grab(self, timeout_s: float) -> Frame:
         """The next frame; where drawing has fallen behind, those in between are lost, as in a camera.
 
         The first is one from now on: none is lost before anybody asks for any.
         """
         late_s = self.hand.world.now_s - self._last_s
         if self._waiting or (self._number and late_s < max(BEHIND_S, 2 / self.hand.camera.rate_hz)):
-            live = super().grab(timeout_s)
-            self._last_s = live.frame.time_s
-            return live
+            frame = super().grab(timeout_s)
+            self._last_s = frame.time_s
+            return frame
         self._waiting.clear()
         frame = self._skipped_to_now()
         between = round((frame.time_s - self._last_s) * self.hand.camera.rate_hz) - 1
         lost = max(between, 0) if self._number else 0
         number, self._number, self._last_s = self._number, self._number + 1, frame.time_s
-        return LiveFrame(frame, time.monotonic_ns(), number, lost)
+        return frame.arrived(number, lost=lost)
 
     def _arrived(self) -> list[tuple[int, Frame]]:
         """One frame at a time, so that none waits until those after it are drawn."""
@@ -226,13 +194,13 @@ class PacedFrames(Closing):
         self._reopened, self._repeat = reopened, repeat
         self._period_s = 1.0 / rate_hz if rate_hz > 0 else None
         self._source = reopened()
-        self.name = self._source.name
-        self._next: LiveFrame | None = None
+        self.name, self.manifest = self._source.name, getattr(self._source, "manifest", None)
+        self._next: Frame | None = None
         self._number, self._due_s = 0, time.monotonic()
         self._at_s = self._step_s = 0.0  # of the last frame, and from it to the next
         self._shift_s = 0.0  # by which a round's times are later than the file's own
 
-    def grab(self, timeout_s: float) -> LiveFrame | None:
+    def grab(self, timeout_s: float) -> Frame | None:
         """The next frame, when its time has come; None at the end."""
         end_s = time.monotonic() + timeout_s
         if self._next is None and not self._fetch(timeout_s):
@@ -244,11 +212,6 @@ class PacedFrames(Closing):
         time.sleep(max(self._due_s - time.monotonic(), 0.0))
         frame, self._next = self._next, None
         return frame
-
-    @property
-    def played(self) -> LiveSource:
-        """The file's own frames."""
-        return self._source
 
     def close(self) -> None:
         """Close the file."""
@@ -264,15 +227,14 @@ class PacedFrames(Closing):
         if item is None:
             return False
         if again:
-            self._shift_s = self._at_s + (self._period_s or self._step_s) - item.frame.time_s
-        at_s = item.frame.time_s + self._shift_s
+            self._shift_s = self._at_s + (self._period_s or self._step_s) - item.time_s
+        at_s = item.time_s + self._shift_s
         if self._number:
             self._step_s = self._period_s or max(at_s - self._at_s, 0.0)
             self._due_s += self._step_s
         else:
             self._due_s = time.monotonic()
-        frame = replace(item.frame, time_s=at_s) if self._shift_s else item.frame
-        self._next = LiveFrame(frame, round(self._due_s * 1e9), self._number, why=item.why)
+        self._next = replace(item, time_s=at_s, arrived_ns=round(self._due_s * 1e9), index=self._number)
         self._number, self._at_s = self._number + 1, at_s
         return True
 

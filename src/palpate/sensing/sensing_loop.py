@@ -11,7 +11,7 @@ from typing import Any
 from palpate.core import Readings
 from palpate.core.refusal import ReasonCode, Refusal
 from palpate.estimators.certified import Estimator, Zero
-from palpate.sensing.frame_sources import FrameStream, RunFrames, Unreadable
+from palpate.sensing.frame_sources import FileFrames
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +45,7 @@ class Sensed:
         }
 
 
-def sense(estimator: Estimator, source: FrameStream, zero: Zero | None = None) -> Iterator[Sensed]:
+def sense(estimator: Estimator, source: FileFrames, zero: Zero | None = None) -> Iterator[Sensed]:
     """Read every frame of a source.
 
     Args:
@@ -53,14 +53,14 @@ def sense(estimator: Estimator, source: FrameStream, zero: Zero | None = None) -
         zero: the untouched sensor; a run that recorded it by the calibration's rule needs none.
     """
     zeros: dict[int, Zero] = {}
-    if zero is None and isinstance(source, RunFrames):
+    if zero is None and source.run is not None:
         from palpate.calibration.evaluation import zeros_of  # loads tables, which no image needs
 
         zeros = zeros_of(estimator, source.run)
     for i, frame in enumerate(source):
         started = time.perf_counter()
-        if isinstance(frame, Unreadable):
-            readings = estimator.unread(frame.name, frame.time_s, Refusal(ReasonCode.UNREADABLE, frame.why))
+        if frame.fault:
+            readings = estimator.unread(frame.name, frame.time_s, Refusal(ReasonCode.UNREADABLE, frame.fault))
         else:
             readings = estimator.read(frame, zero or zeros.get(i))
         yield Sensed(frame.name, frame.time_s, readings, time.perf_counter() - started)

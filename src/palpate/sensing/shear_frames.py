@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,8 +15,7 @@ from palpate.core.refusal import Refusal
 from palpate.estimators.lattice import ControlPoints
 from palpate.estimators.shear import ShearReader, ShearTouch, TiledSkin
 from palpate.estimators.surface_strain import StrainFields
-from palpate.recordings.exchange.frame_sequences import TIFFS, open_sequence
-from palpate.sensing.frame_sources import FrameStream, ImageFiles, SequenceFrames, Unreadable, open_source
+from palpate.sensing.frame_sources import open_source
 
 UNREADABLE = "no_image"
 
@@ -27,21 +25,23 @@ class TouchedFrame:
     """Touch in one frame of a source.
 
     Attributes:
-        time_s: Capture time, or the index without a clock [s].
         touch: None for an undecodable frame or one of another size than the reference.
         reason: Reason why there is no touch; empty otherwise.
     """
 
     index: int
-    name: str
-    time_s: float
-    frame: Frame | None
+    frame: Frame
     touch: ShearTouch | None
     reason: str = ""
 
+    @property
+    def name(self) -> str:
+        """Name of the frame; its index where it has none."""
+        return self.frame.name or str(self.index)
+
     def to_dict(self) -> dict[str, Any]:
         """Frame, readings and all contacts as plain values for JSON."""
-        head: dict[str, Any] = {"frame": self.name, "time_s": self.time_s}
+        head: dict[str, Any] = {"frame": self.name, "time_s": self.frame.time_s}
         if self.touch is None:
             return {
                 **head,
@@ -64,32 +64,12 @@ class TouchedFrame:
         return {**head, **verdict, "readings": readings, "contacts": contacts}
 
 
-@contextmanager
-def open_frames(path: PathText) -> Iterator[FrameStream]:
-    """Open an image, a folder of images, a run, a video or a multi-page TIFF."""
-    path = Path(path)
-    if not path.exists():
-        raise ImageError(f"{path} is not there; give an image, a folder of images, a run or a video")
-    if path.suffix.lower() in TIFFS and path.is_file():
-        with open_sequence(path) as sequence:
-            yield SequenceFrames(sequence, 0.0)
-    else:
-        yield open_source(path)
-
-
-def has_clock(frames: FrameStream) -> bool:
-    """Whether times are a clock's; images, TIFFs and a video without a rate have their place for one."""
-    if isinstance(frames, SequenceFrames):
-        return frames.rate_hz > 0
-    return not isinstance(frames, ImageFiles)
-
-
 def first_frame(path: PathText) -> Frame:
     """The image at a path, or the first frame of what holds several."""
-    with open_frames(path) as frames:
+    with open_source(path) as frames:
         for frame in frames:
-            if isinstance(frame, Unreadable):
-                raise ImageError(f"{path}: {frame.name} cannot be read: {frame.why}")
+            if frame.fault:
+                raise ImageError(f"{path}: {frame.name} cannot be read: {frame.fault}")
             return frame
     raise ImageError(f"{path} holds no frame")
 
@@ -132,25 +112,24 @@ class ForceInTouch:
 
 
 def read_touches(
-    frames: FrameStream, reader: ShearReader, force: ForceInTouch | None = None
+    frames: Iterable[Frame], reader: ShearReader, force: ForceInTouch | None = None
 ) -> Iterator[TouchedFrame]:
     """What each frame shows, in order; one that cannot be read says why and does not end the sequence."""
-    clocked = has_clock(frames)
+    clocked = getattr(frames, "clocked", True)
     for i, frame in enumerate(frames):
-        if isinstance(frame, Unreadable):
-            yield TouchedFrame(i, frame.name, frame.time_s, None, None, frame.why)
+        if frame.fault:
+            yield TouchedFrame(i, frame, None, frame.fault)
             continue
-        name = frame.name or str(i)
         try:
             touch = reader.touch(frame)
         except InputError as refusal:
             if i == 0:
                 raise
-            yield TouchedFrame(i, name, frame.time_s, frame, None, str(refusal))
+            yield TouchedFrame(i, frame, None, str(refusal))
             continue
         if force is not None:
             touch = force.added(touch, frame, clocked=clocked)
-        yield TouchedFrame(i, name, frame.time_s, frame, touch)
+        yield TouchedFrame(i, frame, touch)
 
 
 def write_fields(folder: Path, seen: TouchedFrame) -> None:

@@ -25,7 +25,7 @@ from palpate.estimators.model_card import ScoreCard
 from palpate.recordings import Manifest, Run, RunWriter
 from palpate.recordings.manifest import LabelKind
 from palpate.reports.terminal_text import scores_table
-from palpate.sensing.frame_sources import RunFrames
+from palpate.sensing.frame_sources import run_frames
 from palpate.sensing.sensing_loop import sense
 from palpate.sensors import palm
 from palpate.sensors.palm import PalmSpec
@@ -204,7 +204,7 @@ def _some_readings(folder: Path) -> tuple[str, ...]:
     estimator = Estimator.open(folder / f"cal-{next(iter(WAYS))}")
     run = Run.open(folder / "run-new-places")
     lines = []
-    for i, sensed in enumerate(sense(estimator, RunFrames(run))):
+    for i, sensed in enumerate(sense(estimator, run_frames(run))):
         if i in (4, 14):
             lines += [f"frame {sensed.frame}: {sensed.readings[c]}" for c in ("depth_mm", "force_N")]
     dark = Frame(run.frame(4).image // 8, name="4, made dark")

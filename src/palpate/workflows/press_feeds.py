@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Protocol, runtime_checkable
 
 from palpate.core import (
@@ -33,14 +33,6 @@ WAIT_S = 2.0  # for a frame
 LAID_S = (2.0, 2.5)  # that a virtual hand leaves a weight where it is [s]
 
 
-@dataclass(frozen=True, slots=True)
-class FedFrame:
-    """One frame, and when it was here on the feed's clock [ns]."""
-
-    frame: Frame
-    arrived_ns: int
-
-
 @runtime_checkable
 class PressFeed(Protocol):
     """Frames and forces of a sensor that a person presses."""
@@ -58,7 +50,7 @@ class PressFeed(Protocol):
     origin: str
     provenance: Provenance
 
-    def grab(self) -> FedFrame:
+    def grab(self) -> Frame:
         """Return the next frame."""
 
     def press(self, go_on: bool) -> None:
@@ -112,12 +104,12 @@ class VirtualFeed(Closing):
         self.force_range_n: tuple[float, float] | None = self.hand.force_range_n
         self.truth: Callable[[int], dict[str, float]] | None = self.hand.truth
 
-    def grab(self) -> FedFrame:
+    def grab(self) -> Frame:
         """The next frame; in faster time not every one is drawn."""
         if self._fast:
             self.clock.sleep(max(1 / FAST_HZ - 1.5 / self.hand.camera.rate_hz, 0.0))
         at_ns, frame = self.hand.camera.grab()
-        return FedFrame(frame, at_ns)
+        return replace(frame, arrived_ns=at_ns)
 
     def lay(self, force_n: float) -> None:
         """Let the hand place one weight, hold it still, and take it off [N]."""
@@ -179,7 +171,7 @@ class CameraFeed(Closing):
             self.close()
             raise
 
-    def grab(self) -> FedFrame:
+    def grab(self) -> Frame:
         try:
             got = self._source.grab(WAIT_S)
         except NoFrameYetError as e:
@@ -189,7 +181,7 @@ class CameraFeed(Closing):
             ) from e
         if got is None:
             raise DeviceError(f"{self.sensor} has ended; presses are collected from a camera")
-        return FedFrame(got.frame, got.arrived_ns)
+        return got
 
     def press(self, go_on: bool) -> None:
         """Do nothing: a person presses."""

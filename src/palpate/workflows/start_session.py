@@ -211,8 +211,8 @@ class StartSession(StoredSession):
         frames = [feed.grab() for _ in range(STILL_FRAMES)]
         lasted_s = (frames[-1].arrived_ns - frames[0].arrived_ns) / 1e9
         rate_hz = (len(frames) - 1) / lasted_s if lasted_s > 0 else 1.0
-        health = image_health([one.frame.image for one in frames], rate_hz, region=feed.region)
-        height, width = frames[0].frame.image.shape[:2]
+        health = image_health([one.image for one in frames], rate_hz, region=feed.region)
+        height, width = frames[0].image.shape[:2]
         found = {"rate_hz": rate_hz, "size_px": [width, height], "health": health.to_dict()}
         self.state.settings = json.loads(json.dumps(found))  # as its file gives it back
         self._done("settings")
@@ -222,7 +222,7 @@ class StartSession(StoredSession):
         """Keep the mean of some frames of the untouched sensor."""
         self._needs("settings")
         feed.press(go_on=False)
-        frames = np.stack([feed.grab().frame.image for _ in range(STILL_FRAMES)])
+        frames = np.stack([feed.grab().image for _ in range(STILL_FRAMES)])
         mean = np.rint(frames.mean(axis=0)).astype(np.uint8)
         coded = cv2.imencode(".png", mean if mean.ndim == 2 else mean[..., ::-1])[1]
         self.untouched.unlink(missing_ok=True)

@@ -40,7 +40,8 @@ from palpate.estimators.compliance.press_latency import (
     press_latency,
 )
 from palpate.estimators.pins import find_pins, follow
-from palpate.recordings.exchange.frame_sequences import TIFFS, open_sequence
+from palpate.recordings.exchange.frame_sequences import open_sequence
+from palpate.recordings.exchange.image_files import TIFF_SUFFIXES
 from palpate.recordings.exchange.press_folder import press_folder
 from palpate.recordings.exchange.press_table import read_press_table
 
@@ -161,7 +162,9 @@ def _pairs(presses: Sequence[Path], force: Path | None) -> list[tuple[Path, Path
     for path in presses:
         if path.with_suffix(".csv").exists():
             pairs.append((path, path.with_suffix(".csv")))
-        elif path.is_dir() and (own := sorted(p for p in path.iterdir() if p.suffix.lower() in TIFFS)):
+        elif path.is_dir() and (
+            own := sorted(f for f in path.iterdir() if f.suffix.lower() in TIFF_SUFFIXES)
+        ):
             pairs += _pairs(own, None)
         elif path.is_dir():
             pairs += [pair for one in press_folder(path).specimens for pair in one.presses]

@@ -267,7 +267,7 @@ def read(
     _check_lens(estimator.card, lens)
     zero = None if reference is None else estimator.zero(palpate.read_image(reference))
     latencies, frames = [], palpate.open_source(source)
-    about = frames.run.manifest if hasattr(frames, "run") else None
+    about = None if frames.run is None else frames.run.manifest
     simulated = estimator.card.is_simulated or (about is not None and about.is_simulated)
     if simulated and not as_json():
         from palpate.reports.evaluation_text import simulated_text  # loads tables, which no image needs
@@ -284,14 +284,11 @@ def read(
         from palpate.reports import latency_line
 
         say(latency_line(latencies), err=True)
-    if hasattr(frames, "run"):
-        from palpate.sensing.streaming.replayed_frames import unfinished
-
-        if why := unfinished(frames.run.path):
-            say(why, err=True)
-            if as_json():
-                say(json.dumps({"source": str(source), "state": "ended", "why": why}))
-            raise typer.Exit(1)
+    if why := frames.unfinished:
+        say(why, err=True)
+        if as_json():
+            say(json.dumps({"source": str(source), "state": "ended", "why": why}))
+        raise typer.Exit(1)
 
 
 def report(

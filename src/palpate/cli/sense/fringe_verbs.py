@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from palpate.estimators.fringe_map import ColourTable
-    from palpate.sensing.frame_sources import FrameStream
+    from palpate.sensing.frame_sources import FileFrames
     from palpate.sensing.fringe_frames import MappedFrame, OrderReader
 
 LAMPS = ("led", "tungsten")
@@ -97,7 +97,7 @@ def fringe_order(
             files = stack.enter_context(OrderFiles(stack.enter_context(new_folder(out))))
         for done, one in enumerate(seen, 1):
             say(json.dumps(one.to_dict(), allow_nan=False) if as_json() else _line(one))
-            if files is not None and one.found is not None and one.frame is not None:
+            if files is not None and one.found is not None:
                 files.add(one.index, one.name, one.frame.image, one.found)
             progress("frames", done, count)
 
@@ -256,7 +256,7 @@ def _stepped(
         saturated=np.asarray(grey.max(axis=0) >= SATURATED_CODE),
     )
     took = time.perf_counter() - started
-    return MappedFrame(0, paths[0].name, 0.0, Frame(images[0], name=paths[0].name), found, latency_s=took)
+    return MappedFrame(0, Frame(images[0], name=paths[0].name), found, latency_s=took)
 
 
 def _reference(text: str | None) -> tuple[int, int, float]:
@@ -267,17 +267,16 @@ def _reference(text: str | None) -> tuple[int, int, float]:
     return round(y), round(x), order
 
 
-def _source(paths: list[Path], stack: ExitStack) -> FrameStream:
+def _source(paths: list[Path], stack: ExitStack) -> FileFrames:
     from palpate.core import ImageError
-    from palpate.sensing.frame_sources import ImageFiles
-    from palpate.sensing.shear_frames import open_frames
+    from palpate.sensing.frame_sources import image_files, open_source
 
     if len(paths) == 1:
-        return stack.enter_context(open_frames(paths[0]))
+        return stack.enter_context(open_source(paths[0]))
     missing = [str(path) for path in paths if not path.is_file()]
     if missing:
         raise ImageError(f"{', '.join(missing)} is not there; give images, or one folder, run or video")
-    return ImageFiles(tuple(paths))
+    return image_files(paths)
 
 
 def _mask(path: Path) -> np.ndarray:

@@ -298,7 +298,7 @@ def _put_there(names: list[str]) -> str:
     folder = next((name for name in names if Path(name).is_dir()), None)
     if folder is None:
         return ""
-    from palpate.sensing.frame_sources import IMAGE_SUFFIXES
+    from palpate.recordings.exchange.image_files import IMAGE_SUFFIXES
 
     kinds = ", ".join(sorted(IMAGE_SUFFIXES))
     return f": put images ({kinds}) into {folder}, or name a folder of images or a run"

@@ -47,10 +47,10 @@ def shear(
     Example: palpate read press.mp4 --reference untouched.png --sensor nusense --json
     """
     from palpate.calibration.shear import ShearCalibration
+    from palpate.sensing.frame_sources import open_source
     from palpate.sensing.shear_frames import (
         ForceInTouch,
         first_frame,
-        open_frames,
         read_touches,
         write_fields,
     )
@@ -61,7 +61,7 @@ def shear(
     reader = _reader(untouched, sensor, lens, skin)
     force = None if calibration is None else ForceInTouch(ShearCalibration.load(calibration), reader)
     with ExitStack() as stack:
-        frames = stack.enter_context(open_frames(source))
+        frames = stack.enter_context(open_source(source))
         folder = stack.enter_context(new_folder(fields)) if fields else None
         progress = stack.enter_context(progress_bar())
         page = _page(source, reader, untouched) if html else None

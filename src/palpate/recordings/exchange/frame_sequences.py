@@ -20,7 +20,14 @@ import tifffile
 
 from palpate.core import Closing, Frame, Image, ImageError, InputError, RangeError, new_file, storage_errors
 from palpate.core.parsing import parser
-from palpate.recordings.exchange.image_files import IMAGE_SUFFIXES, MAX_PIXELS, read_image, refuse_missing
+from palpate.recordings.exchange.image_files import (
+    IMAGE_SUFFIXES,
+    MAX_PIXELS,
+    TIFF_SUFFIXES,
+    VIDEO_SUFFIXES,
+    read_image,
+    refuse_missing,
+)
 from palpate.recordings.manifest import MANIFEST
 from palpate.recordings.run_reader import Run
 
@@ -152,6 +159,15 @@ def page_offsets(file: BinaryIO, path: Path, most: int) -> list[int]:
     return offsets
 
 
+def is_multi_page(path: Path) -> bool:
+    """Whether a file is a TIFF of several pages."""
+    try:
+        with storage_errors(path), path.open("rb") as file:
+            return len(page_offsets(file, path, MAX_PAGES)) > 1
+    except ImageError:
+        return False
+
+
 def _number(file: BinaryIO, kind: str, path: Path) -> int:
     data = file.read(struct.calcsize(kind))
     if len(data) < struct.calcsize(kind):
@@ -166,7 +182,6 @@ def _kind(page: tifffile.TiffPage) -> str:
 
 
 MAX_FRAMES = 1_000_000  # nine hours at 30 frames a second
-SUFFIXES = frozenset({".avi", ".mp4", ".mov", ".mkv", ".webm"})
 
 
 class VideoFrames:
@@ -232,9 +247,6 @@ def _plain(frame: np.ndarray) -> Image:
     return np.ascontiguousarray(frame[..., ::-1])
 
 
-TIFFS = frozenset({".tif", ".tiff"})
-
-
 @runtime_checkable
 class FrameSequence(Protocol):
     """Images in time, which may be gone through more than once."""
@@ -269,13 +281,13 @@ def open_sequence(path: Path) -> Iterator[FrameSequence]:
         if not images:
             raise InputError(f"{path} holds no images ({', '.join(sorted(IMAGE_SUFFIXES))}) and is not a run")
         yield IndexedImages(len(images), lambda i: read_image(images[i]))
-    elif path.suffix.lower() in SUFFIXES:
+    elif path.suffix.lower() in VIDEO_SUFFIXES:
         yield VideoFrames(path)
-    elif path.suffix.lower() in TIFFS:
+    elif path.suffix.lower() in TIFF_SUFFIXES:
         with TiffFrames(path) as pages:
             yield pages
     else:
         raise InputError(
             f"{path} holds no sequence of frames; give a multi-page TIFF, a folder of images, a run, or a "
-            f"video ({', '.join(sorted(SUFFIXES))})"
+            f"video ({', '.join(sorted(VIDEO_SUFFIXES))})"
         )

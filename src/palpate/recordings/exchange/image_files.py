@@ -126,7 +126,9 @@ _FORMATS: tuple[tuple[int, bytes, type[ImageFile]], ...] = (
     (0, b"MM\0*", TiffImageFile),
     (8, b"WEBP", WebPImageFile),
 )
-IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp"})
+TIFF_SUFFIXES = frozenset({".tif", ".tiff"})
+IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".webp"}) | TIFF_SUFFIXES
+VIDEO_SUFFIXES = frozenset({".avi", ".mp4", ".mov", ".mkv", ".webm"})
 _GREY = ("1", "L")
 _COLOUR = ("RGB", "P", "YCbCr")
 _ALPHA = ("LA", "La", "PA", "RGBA", "RGBa", "RGBX")

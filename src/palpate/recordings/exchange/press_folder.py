@@ -39,7 +39,8 @@ from palpate.core import (
     split_column,
     storage_errors,
 )
-from palpate.recordings.exchange.frame_sequences import TIFFS, write_tiff
+from palpate.recordings.exchange.frame_sequences import write_tiff
+from palpate.recordings.exchange.image_files import TIFF_SUFFIXES
 from palpate.recordings.label_tables import FIRST_ROW, label_kinds, read_labels
 from palpate.recordings.manifest import MANIFEST
 
@@ -296,7 +297,7 @@ def _is_of(name: str, what: str, si: str) -> bool:
 
 def _presses(folder: Path) -> tuple[tuple[Path, Path], ...]:
     files = [p for p in sorted(folder.iterdir()) if p.is_file() and not p.name.startswith(".")]
-    tiffs = _by_stem(p for p in files if p.suffix.lower() in TIFFS)
+    tiffs = _by_stem(p for p in files if p.suffix.lower() in TIFF_SUFFIXES)
     tables = _by_stem(p for p in files if p.suffix.lower() == ".csv")
     alone = sorted(tiffs.keys() ^ tables.keys())
     if alone:

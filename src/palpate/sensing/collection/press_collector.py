@@ -13,7 +13,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 
@@ -80,17 +80,6 @@ BEHIND_S = 1.5  # of a scale's newest sample behind the newest frame, beyond its
 Truth = Callable[[int], dict[str, float]]
 
 
-@runtime_checkable
-class ArrivedFrame(Protocol):
-    """A frame, and when it was here on the host's clock [ns]."""
-
-    @property
-    def frame(self) -> Frame: ...
-
-    @property
-    def arrived_ns(self) -> int: ...
-
-
 class PressCollector:
     """Collects labeled presses; a subscriber of the live loop.
 
@@ -151,13 +140,12 @@ class PressCollector:
         self._writer = self._opened(sensor, labels, origin, provenance, licence, regions or {})
         self._opened_ns = self._clock.now_ns()
 
-    def on_frame(self, frame: ArrivedFrame, readings: Readings | None = None) -> None:
+    def on_frame(self, frame: Frame, readings: Readings | None = None) -> None:
         """Take in the next frame."""
         with self._lock:
-            unread = bool(getattr(frame, "why", ""))
-            if self._closed or unread or frame.arrived_ns < self._opened_ns:
+            if self._closed or frame.fault or frame.arrived_ns < self._opened_ns:
                 return
-            self._keep(frame.arrived_ns, frame.frame)
+            self._keep(frame.arrived_ns, frame)
             if self._finder is None:
                 self._by_image(frame)
 
@@ -328,9 +316,9 @@ class PressCollector:
         while self._frames and (self._bytes > KEPT_BYTES or (not pressed and self._frames[0][0] < oldest)):
             self._bytes -= self._frames.popleft()[1].image.nbytes
 
-    def _by_image(self, frame: ArrivedFrame) -> None:
+    def _by_image(self, frame: Frame) -> None:
         """Weights that are typed: plateaus are told by the image."""
-        ended = self._image.take(frame.arrived_ns, frame.frame.image)
+        ended = self._image.take(frame.arrived_ns, frame.image)
         if ended is None:
             return
         weight_n, self._typed_n = self._typed_n, None

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from palpate.core import Closing, ForceSensor, Readings, Wrench
-from palpate.sensing.collection.press_collector import ArrivedFrame, PressCollector
+from palpate.core import Closing, ForceSensor, Frame, Readings, Wrench
+from palpate.sensing.collection.press_collector import PressCollector
 
 
 class ScaleCollector(Closing):
@@ -30,7 +30,7 @@ class ScaleCollector(Closing):
         """Status of the collector."""
         return self._collector.status
 
-    def on_frame(self, frame: ArrivedFrame, readings: Readings | None = None) -> None:
+    def on_frame(self, frame: Frame, readings: Readings | None = None) -> None:
         """Take in what the scale has said since, then the frame."""
         self._collector.on_force(self._scale.drain())
         self._collector.on_frame(frame, readings)

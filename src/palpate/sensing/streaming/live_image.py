@@ -6,11 +6,10 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-from palpate.core import Image, InputError, Readings, Wrench
+from palpate.core import Frame, Image, InputError, Readings, Wrench
 from palpate.core.reading import plain_number
 from palpate.sensing.image_health import image_health
 from palpate.sensing.live_loop import LiveLoop
-from palpate.sensing.live_sources import LiveFrame
 from palpate.sensing.streaming.source_views import view_of_source
 from palpate.sensing.untouched_view import UntouchedView
 from palpate.sensing.view_overlay import FrameOverlay, overlay_of
@@ -41,15 +40,15 @@ class ImageWatch:
         self._now: dict[str, Any] = {}
         self._next_s = 0.0
 
-    def on_frame(self, frame: LiveFrame, readings: Readings | None) -> None:
+    def on_frame(self, frame: Frame, readings: Readings | None) -> None:
         """Look at a frame, if the last look is some time ago."""
         now_s = time.monotonic()
-        if now_s < self._next_s or frame.why:
+        if now_s < self._next_s or frame.fault:
             return
         self._next_s = now_s + LOOK_S
         if self._loop.untouched_frames is not self._frames:
             self._learn(self._loop.untouched_frames)
-        self._now = self._seen(frame.frame.image)
+        self._now = self._seen(frame.image)
         self.looks += 1
 
     def on_force(self, samples: Sequence[Wrench]) -> None:

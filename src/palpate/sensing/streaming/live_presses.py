@@ -21,10 +21,9 @@ import numpy as np
 from palpate.calibration.compliance.compliance_calibration import ComplianceCalibration, reference_trial
 from palpate.calibration.compliance.compliance_reading import read_touch
 from palpate.calibration.compliance.press_cues import reading_record
-from palpate.core import NS_PER_S, Closing, Image, PalpateError, Reading, Readings, Wrench
+from palpate.core import NS_PER_S, Closing, Frame, Image, PalpateError, Reading, Readings, Wrench
 from palpate.core.shared_history import SharedHistory
 from palpate.recordings.exchange.press_table import PressTable
-from palpate.sensing.live_sources import LiveFrame
 
 THRESHOLD_N = 0.15
 OVER_S = 0.15  # below half of the threshold, after which a press is over
@@ -116,13 +115,13 @@ class PressReader(Closing):
         self._thread = threading.Thread(target=self._read_all, name="palpate-live-presses", daemon=True)
         self._thread.start()
 
-    def on_frame(self, frame: LiveFrame, readings: Readings | None) -> None:
+    def on_frame(self, frame: Frame, readings: Readings | None) -> None:
         """Keep a frame of a press, or of the moment before one."""
-        if frame.why:
+        if frame.fault:
             return
         with self._lock:
-            at_ns = round(frame.frame.time_s * NS_PER_S)
-            self._frames.append((at_ns, frame.frame.image))
+            at_ns = round(frame.time_s * NS_PER_S)
+            self._frames.append((at_ns, frame.image))
             since_ns = at_ns if self._begun_ns is None else self._begun_ns
             while self._frames[0][0] < since_ns - round((BEFORE_S + LATE_S) * NS_PER_S):
                 self._frames.popleft()

@@ -10,7 +10,7 @@ import numpy as np
 from palpate.core import Drift, Frame, Image, ImageError, PathText, Readings
 from palpate.core.refusal import ReasonCode, Refusal
 from palpate.estimators.certified import Estimator, Zero
-from palpate.sensing.live_sources import LiveFrame, LiveSource
+from palpate.sensing.live_sources import LiveSource
 from palpate.sensing.streaming.sensor_names import refuse_other_sensor, stated_sensor
 
 Zeros = dict[int, Zero]
@@ -34,7 +34,7 @@ class FrameReader(Protocol):
     def differential(self) -> bool:
         """Whether it reads the difference to the untouched sensor."""
 
-    def read(self, live: LiveFrame) -> Readings:
+    def read(self, frame: Frame) -> Readings:
         """Readings of a frame; not valid, with the reason, where it cannot be read."""
 
     def zero(self, untouched: Image) -> Drift | None:
@@ -90,12 +90,13 @@ class CalibrationReader:
         """Height and width of the frames that it reads [px]."""
         return self.estimator.card.input.frame_px
 
-    def read(self, live: LiveFrame) -> Readings:
+    def read(self, frame: Frame) -> Readings:
         """Readings of a frame, those of `Estimator.read`."""
-        frame = live.frame
-        if live.why:
-            return self.estimator.unread(frame.name, frame.time_s, Refusal(ReasonCode.UNREADABLE, live.why))
-        zero = self._zero or self._zeros.get(live.number)
+        if frame.fault:
+            return self.estimator.unread(
+                frame.name, frame.time_s, Refusal(ReasonCode.UNREADABLE, frame.fault)
+            )
+        zero = self._zero or self._zeros.get(frame.index)
         if zero is None and self.differential:
             return self.estimator.unread(frame.name, frame.time_s, NO_ZERO)
         return self.estimator.read(frame, zero)

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from palpate.core import NS_PER_S, Clock, Closing, MonotonicClock, Readings, Wrench
+from palpate.core import NS_PER_S, Clock, Closing, Frame, MonotonicClock, Readings, Wrench
 from palpate.core.provenance import Provenance
 from palpate.recordings.manifest import MANIFEST, Manifest
 from palpate.recordings.run_writer import Overflow, RunWriter
 from palpate.recordings.segments import KINDS, file_name
-from palpate.sensing.live_sources import LiveFrame, LiveSource
+from palpate.sensing.live_sources import LiveSource
 
 NAME = "image_file"  # the label that names a frame
 
@@ -63,21 +63,21 @@ class LiveRecorder(Closing):
         """Count of frames for which the disk was too slow."""
         return self._writer.dropped["frames"]
 
-    def on_frame(self, frame: LiveFrame, readings: Readings | None) -> None:
+    def on_frame(self, frame: Frame, readings: Readings | None) -> None:
         """Record a frame."""
-        if frame.why:
-            self._writer.event("unreadable", frame=frame.frame.name, why=frame.why)
+        if frame.fault:
+            self._writer.event("unreadable", frame=frame.name, why=frame.fault)
             return
-        if self._only_px not in (None, frame.frame.image.shape[:2]):
+        if self._only_px not in (None, frame.image.shape[:2]):
             return
-        own_ns = round(frame.frame.time_s * NS_PER_S)
+        own_ns = round(frame.time_s * NS_PER_S)
         if self._first_ns is None:
             self._first_ns = own_ns
             self._writer.event("live", first_frame_ns=own_ns, arrived_ns=frame.arrived_ns)
         at_ns = max(self._on_writers_clock(own_ns), self._latest_ns)
         self._latest_ns = at_ns
-        labels = {NAME: frame.frame.name} if self._named and frame.frame.name else None
-        self._writer.frame(frame.frame.image, time_ns=at_ns, exposure_s=frame.frame.exposure_s, labels=labels)
+        labels = {NAME: frame.name} if self._named and frame.name else None
+        self._writer.frame(frame.image, time_ns=at_ns, exposure_s=frame.exposure_s, labels=labels)
 
     def on_force(self, samples: Sequence[Wrench]) -> None:
         """Record samples since the first frame."""

@@ -8,8 +8,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 
-from palpate.core import Readings, Wrench
-from palpate.sensing.live_sources import LiveFrame
+from palpate.core import Frame, Readings, Wrench
 
 Item = TypeVar("Item")
 
@@ -66,7 +65,7 @@ class NewestSlot(Generic[Item]):
 class Subscriber(Protocol):
     """Whoever is told of frames, readings and forces, in their order."""
 
-    def on_frame(self, frame: LiveFrame, readings: Readings | None) -> None:
+    def on_frame(self, frame: Frame, readings: Readings | None) -> None:
         """Take in a frame and its readings; None without a calibration."""
 
     def on_force(self, samples: Sequence[Wrench]) -> None:
@@ -104,7 +103,7 @@ class SubscriberLine:
         self._thread = threading.Thread(target=self._call_all, name=f"palpate-live-{self.name}", daemon=True)
         self._thread.start()
 
-    def frame(self, frame: LiveFrame, readings: Readings | None) -> None:
+    def frame(self, frame: Frame, readings: Readings | None) -> None:
         """Bring a frame."""
         self._bring("on_frame", (frame, readings))
 

@@ -22,53 +22,16 @@ from palpate.core import (
     lock,
     storage_errors,
 )
-from palpate.recordings.exchange.image_files import image_from_bytes, read_image
+from palpate.recordings.exchange.image_files import IMAGE_SUFFIXES, image_from_bytes, read_image
 from palpate.recordings.exchange.image_stream import ImageCutter
 from palpate.recordings.manifest import MANIFEST, StoredManifest
-from palpate.recordings.run_reader import Run
 from palpate.recordings.segments import file_name, frames_in, scan, scan_growing, segment_numbers
-from palpate.sensing.frame_sources import IMAGE_SUFFIXES, FrameStream, ImageFiles, Unreadable, open_source
-from palpate.sensing.live_sources import LiveFrame, LiveSource, NoFrameYetError, live_frame
+from palpate.sensing.frame_sources import open_source
+from palpate.sensing.live_sources import LiveSource, NoFrameYetError
 
 GROWS_LOOK_S = 0.02  # between two looks at what is being written
 STEADY_S = 0.3  # after which a file that cannot be read, and does not change, never will be
 CHUNK = 1 << 16
-
-
-class FileFrames(Closing):
-    """Frames of a complete source: image, video, folder, or run.
-
-    Attributes:
-        unfinished: Reason why a run is incomplete; empty otherwise.
-        may_change: Whether frame sizes may differ, as in a folder.
-    """
-
-    waits = True
-    force: ForceSensor | None = None
-
-    def __init__(self, stream: FrameStream, name: str) -> None:
-        self.name = name
-        self.run: Run | None = getattr(stream, "run", None)
-        self._frames = iter(stream)
-        self._number = 0
-        self.may_change = isinstance(stream, ImageFiles)
-        self.unfinished = "" if self.run is None else unfinished(self.run.path)
-
-    def grab(self, timeout_s: float) -> LiveFrame | None:
-        """The next frame; None at the end. A frame is read in less time than any time-out is worth."""
-        try:
-            item = next(self._frames, None)
-        except RecordingError as e:
-            item = Unreadable(str(self._number), 0.0, str(e))
-        if item is None:
-            return None
-        frame = live_frame(item, self._number)
-        self._number += 1
-        return frame
-
-    def close(self) -> None:
-        """Forget it; nothing is held open."""
-        self._frames = iter(())
 
 
 class GrowingFrames(Closing):
@@ -87,11 +50,11 @@ class GrowingFrames(Closing):
         """
         self.name = str(path)
         self._path, self._idle_s = path, idle_s
-        self._found: deque[Frame | Unreadable] = deque()
+        self._found: deque[Frame] = deque()
         self._number = 0
         self._news_s: float | None = None
 
-    def grab(self, timeout_s: float) -> LiveFrame | None:
+    def grab(self, timeout_s: float) -> Frame | None:
         """Return the next frame; None after `idle_s` without one, or once its writer closed the run."""
         end_s = time.monotonic() + timeout_s
         if self._news_s is None:  # however long it takes to be looked at after it was opened
@@ -102,9 +65,8 @@ class GrowingFrames(Closing):
                 ended = item is None and self._ended()
             now_s = time.monotonic()
             if item is not None:
-                frame = live_frame(item, self._number)
                 self._number, self._news_s = self._number + 1, now_s
-                return frame
+                return item.arrived(self._number - 1)
             if ended or (now_s - self._news_s >= self._idle_s and not self._is_pending()):
                 return None
             if now_s >= end_s:
@@ -115,7 +77,7 @@ class GrowingFrames(Closing):
         """Forget it; nothing is held open."""
         self._idle_s = 0.0
 
-    def _next(self) -> Frame | Unreadable | None:
+    def _next(self) -> Frame | None:
         raise NotImplementedError
 
     def _ended(self) -> bool:
@@ -137,7 +99,7 @@ class FillingFolder(GrowingFrames):
         self._unread: deque[Path] = deque()
         self._size, self._since_s = -1, 0.0
 
-    def _next(self) -> Frame | Unreadable | None:
+    def _next(self) -> Frame | None:
         if not self._unread:
             names = {name for name in os.listdir(self._path) if Path(name).suffix.lower() in IMAGE_SUFFIXES}
             self._unread.extend(self._path / name for name in sorted(names - self._known))
@@ -148,11 +110,11 @@ class FillingFolder(GrowingFrames):
             return None
         path = self._unread[0]
         try:
-            item: Frame | Unreadable = Frame(read_image(path), float(self._number), name=path.name)
+            item = Frame(read_image(path), float(self._number), name=path.name)
         except ImageError as e:
             if self._is_written(path):
                 return None
-            item = Unreadable(path.name, float(self._number), str(e))
+            item = Frame.unreadable(str(e), float(self._number), path.name)
         self._unread.popleft()
         self._size = -1
         return item
@@ -179,7 +141,7 @@ class GrowingRun(GrowingFrames):
         self.manifest = StoredManifest.read(path).manifest
         self._segment, self._offset = -1, 0
 
-    def _next(self) -> Frame | Unreadable | None:
+    def _next(self) -> Frame | None:
         if not self._found and not self._look(self._segment):
             later = [number for number in segment_numbers(self._path) if number > self._segment]
             if later:
@@ -199,7 +161,7 @@ class GrowingRun(GrowingFrames):
             try:
                 image = stored.image(check=False)  # compared with its checksum a moment ago
             except PalpateError as e:
-                self._found.append(Unreadable(str(index), at_s, str(e)))
+                self._found.append(Frame.unreadable(str(e), at_s, str(index)))
                 continue
             self._found.append(Frame(image, at_s, None, self.manifest.sensor, str(index)))
         return bool(self._found)
@@ -227,10 +189,9 @@ def open_file_frames(path: Path, idle_s: float) -> LiveSource:
     if (path / MANIFEST).is_file():
         if idle_s > 0 and _being_written(path):
             return GrowingRun(path, idle_s)
-        return FileFrames(open_source(path), str(path))
-    if path.is_dir() and idle_s > 0:
+    elif path.is_dir() and idle_s > 0:
         return FillingFolder(path, idle_s)
-    return FileFrames(open_source(path), str(path))
+    return open_source(path)
 
 
 def _being_written(run: Path) -> bool:
@@ -276,7 +237,7 @@ class PipedFrames(Closing):
         self._images: deque[bytes] = deque()
         self._number, self._first_ns, self._over = 0, 0, False
 
-    def grab(self, timeout_s: float) -> LiveFrame | None:
+    def grab(self, timeout_s: float) -> Frame | None:
         """The next image; None at the end of the stream."""
         end_s = time.monotonic() + timeout_s
         why = ""
@@ -298,19 +259,19 @@ class PipedFrames(Closing):
         self._over = True
         self._images.clear()
 
-    def _shown(self, why: str) -> LiveFrame:
+    def _shown(self, why: str) -> Frame:
         number, now_ns = self._number, time.monotonic_ns()
         self._first_ns = self._first_ns or now_ns
         at_s = (now_ns - self._first_ns) / NS_PER_S
-        item: Frame | Unreadable = Unreadable(str(number), at_s, why)
+        item = Frame.unreadable(why, at_s, str(number))
         if not why:
             try:
                 image = image_from_bytes(self._images.popleft(), Path(f"{self.name}, image {number}"))
                 item = Frame(image, at_s, name=str(number))
             except ImageError as e:
-                item = Unreadable(str(number), at_s, str(e))
+                item = Frame.unreadable(str(e), at_s, str(number))
         self._number += 1
-        return live_frame(item, number, now_ns)
+        return item.arrived(number, now_ns)
 
     def _ready(self, timeout_s: float) -> bool:
         if os.name == "nt":  # a pipe cannot be waited for: the read itself waits

@@ -7,7 +7,7 @@ from typing import Any
 
 from palpate.core import InputError
 from palpate.core.sensor import SENSORS
-from palpate.sensing.live_sources import HandFrames, LiveSource, PacedFrames
+from palpate.sensing.live_sources import HandFrames, LiveSource
 from palpate.sensors.owned import preset_names
 
 OWN = "own"  # a preset that is of no sensor in particular
@@ -19,11 +19,9 @@ def stated_sensor(source: LiveSource) -> str:
 
     A camera, a video and images state none: "".
     """
-    if isinstance(source, PacedFrames):
-        return stated_sensor(source.played)
     if isinstance(source, HandFrames):
         return str(source.hand.design.name)
-    manifest: Any = getattr(getattr(source, "run", source), "manifest", None)
+    manifest: Any = getattr(source, "manifest", None)
     return "" if manifest is None else str(manifest.sensor)
 
 

@@ -10,7 +10,6 @@ from palpate.core.sensor import sensor as sensor_of
 from palpate.estimators.lattice import DottedSkin, read_skin
 from palpate.estimators.shear import ShearReader, ShearTouch
 from palpate.estimators.shear.skin_marks import TiledSkin
-from palpate.sensing.live_sources import LiveFrame
 from palpate.sensing.shear_frames import ForceInTouch
 from palpate.sensing.streaming.live_readers import NO_ZERO
 
@@ -49,17 +48,17 @@ class ShearFrameReader:
         self._reader, self.needs, self.seen = reader, "", None
         return None
 
-    def read(self, live: LiveFrame) -> Readings:
+    def read(self, frame: Frame) -> Readings:
         """Readings of a frame; none where there is no untouched image, or the frame is of another size."""
-        if self._reader is None or live.why:
+        if self._reader is None or frame.fault:
             return Readings({})
         try:
-            touch = self._reader.touch(live.frame)
+            touch = self._reader.touch(frame)
         except InputError as refusal:
             self.needs, self.seen = str(refusal), None
             return Readings({})
         self.needs, self.seen = "", (self._reader, touch)
-        return (touch if self._force is None else self._force.added(touch, live.frame)).readings
+        return (touch if self._force is None else self._force.added(touch, frame)).readings
 
     def drift_of(self, image: Image) -> Drift | None:
         """Nothing is known of it by the image alone."""

@@ -50,8 +50,8 @@ class WatchedFeed:
         frame = self._feed.grab()
         if time.monotonic() - self._told_s > PICTURE_S:
             self._told_s = time.monotonic()
-            jpeg = base64.b64encode(jpeg_bytes(frame.frame.image, PICTURE_PX)).decode()
-            height, width = frame.frame.image.shape[:2]
+            jpeg = base64.b64encode(jpeg_bytes(frame.image, PICTURE_PX)).decode()
+            height, width = frame.image.shape[:2]
             self._voice.say({"picture": jpeg, "size_px": [width, height]})
         return frame
 
