@@ -294,7 +294,7 @@ def test_a_touch_off_finds_the_skin_and_the_position(lab: LabFile) -> None:
         assert depth_mm(lab) == pytest.approx(-2.0, abs=0.1), "lifted again"
 
 
-@pytest.mark.parametrize("position", ["stored", "reference", "touch-off"])
+@pytest.mark.parametrize("position", ["stored", "reference", "touch-off", "nowhere"])
 @pytest.mark.parametrize("turned", [False, True])
 @pytest.mark.cases(2)
 def test_a_controller_of_another_scale_or_direction_than_the_rig_file_states_is_refused(

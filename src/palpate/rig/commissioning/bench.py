@@ -122,7 +122,7 @@ def open_bench(
     Args:
         rig: a rig's file, or the name of a virtual one.
         roles: which devices.
-        position: Source of the stage's position; "nowhere" for homing and for stopping.
+        position: Source of the stage's position; "nowhere" for homing.
 
     Raises:
         InputError: there is no such rig; or a field that is not one, or out of range.
@@ -280,7 +280,7 @@ def _open_stage(rig: str) -> Stage:
     file = read_rig(Path(rig))
     if file.stage is None:
         raise InputError(f"{rig}: {file.name!r} needs [stage] or [virtual]", code="stage-missing")
-    stage: Stage = open_part("stage", file.stage, MonotonicClock(), "nowhere")
+    stage: Stage = open_part("stage", file.stage, MonotonicClock(), "unchecked")
     return stage
 
 

@@ -17,13 +17,14 @@ if TYPE_CHECKING:
     from palpate.rig.real.marlin import MarlinStage
     from palpate.rig.real.ur_arm import UrArmSpec
 
-PositionFrom = Literal["stored", "reference", "touch-off", "nowhere"]
+PositionFrom = Literal["stored", "reference", "touch-off", "nowhere", "unchecked"]
 """Source of a stage's position when it is opened.
 
 - "stored": The position of the last session, where `position_evidence` accepts it.
 - "reference": The operator confirms that the stage stands at `reference`.
 - "touch-off": A guarded search for the skin, from above its center; `opened_rig` carries it out.
 - "nowhere": None; the stage may then only be stopped, lifted, or homed.
+- "unchecked": None, and neither are the controller's scale and directions; it may then only be stopped.
 """
 
 SAME_SCALE = 1e-3  # relative difference of steps per millimeter that is a rounding
@@ -272,7 +273,7 @@ def _placed(
 ) -> GrblStage | MarlinStage:
     """Take the stage's position; the stage is closed where that fails."""
     try:
-        if position != "nowhere":
+        if position != "unchecked":
             _check_scale(stage, part)
             _check_directions(stage, part)
         if position == "reference":

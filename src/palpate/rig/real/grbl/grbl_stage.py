@@ -186,15 +186,15 @@ class GrblStage(GcodeStage):
             axes, machine = self._session.spec.axes, self._session.machine
             if machine.homes_into_skin(axes):
                 raise DeviceError(
-                    f"homing by $23={machine.homes_down} would drive {axes[2][1]} towards the skin; nothing "
-                    "moved. Set $23 so that it homes away from the skin, or correct axes, or give "
+                    f"homing by $23={machine.homes_down} would drive {axes[2][1]} towards the skin; it was "
+                    "not homed. Set $23 so that it homes away from the skin, or correct axes, or give "
                     "--position touch-off",
                     code="homing-not-confirmed",
                 )
             if machine.pull_off_mm > MAX_PULL_OFF_MM:  # a switch that is stuck would send it down so far
                 raise DeviceError(
                     f"$27={machine.pull_off_mm:g} mm is the way back from the switches, towards the skin; "
-                    f"{MAX_PULL_OFF_MM:g} mm are allowed; nothing moved. Set $27 to 1 to 3 mm",
+                    f"{MAX_PULL_OFF_MM:g} mm are allowed; it was not homed. Set $27 to 1 to 3 mm",
                     code="homing-pull-off",
                 )
             _home(self._session, halts)
