@@ -205,7 +205,9 @@ def place(path: Path, node: ast.AST) -> str:
 def measured() -> tuple[dict[str, float], dict[str, list[str]]]:
     """Numbers by name, and the places behind those that have some."""
     source, reproductions = map(python_files, SOURCES)
-    tests, tools = (python_files(ROOT / name) for name in ("tests", "tools"))
+    tests, tools, benchmarks, every_reproduction = (
+        python_files(ROOT / name) for name in ("tests", "tools", "benchmarks", "reproductions")
+    )
     modules = source | reproductions
     graph = imports(modules)
     importers = collections.Counter(one for wanted in graph.values() for one in wanted)
@@ -234,7 +236,8 @@ def measured() -> tuple[dict[str, float], dict[str, list[str]]]:
         "source_files": len(source),
         "source_lines": lines(source),
         "code_lines": sum(code_lines(*one) for one in source.items()),
-        "reproduction_lines": lines(reproductions),
+        "reproduction_lines": lines(every_reproduction),
+        "benchmark_lines": lines(benchmarks),
         "test_lines": lines(tests),
         "tool_lines": lines(tools),
         "modules_of_the_largest_package": max(packages.values()),
