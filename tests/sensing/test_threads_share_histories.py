@@ -58,7 +58,7 @@ def drift_watch(monkeypatch: pytest.MonkeyPatch) -> tuple[DriftWatch, Callable[[
     reader.drifts = Drift(0.5, 1.0)
     watch, readings = DriftWatch(reader), reader.read(frame)
     monkeypatch.setattr(live_drift, "LOOK_S", 0.0)
-    return watch, lambda: watch.frame(frame.frame.image, readings)
+    return watch, lambda: watch.frame(frame.image, readings)
 
 
 def test_drift_is_read_while_frames_arrive_and_the_reference_is_reset(monkeypatch) -> None:
