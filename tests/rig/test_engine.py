@@ -72,7 +72,6 @@ def test_depth_in_a_label_lies_a_threshold_above_the_truth(whole: Run) -> None:
     assert below_touch.between(0.08, 0.16).all()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("speed_mm_s", "taps"), [(1.0, 0), pytest.param(5.0, 3, marks=pytest.mark.slow)])
 def test_depth_counts_from_the_same_zero_in_a_sweep(tmp_path: Path, speed_mm_s: float, taps: int) -> None:
     middle = Listed(kind="listed", at_mm=((0.0, 0.0),))

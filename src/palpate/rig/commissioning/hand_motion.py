@@ -121,11 +121,7 @@ class AirForce:
 
 
 class LiveSamples:
-    """Samples of a sensor that guards a motion; one that falls silent or repeats itself is doubted.
-
-    Raises:
-        Tripped: at `take`, on a faulty sample, or on none or only equal ones for `STALE_S`.
-    """
+    """Samples of a force sensor that guards a motion; silence and repeated samples are detected."""
 
     def __init__(self, force: ForceSensor, clock: Clock) -> None:
         self._force, self._clock = force, clock
@@ -135,7 +131,11 @@ class LiveSamples:
         self._changed_ns = clock.now_ns()  # of this clock: the stamps of a faulty sensor may lie
 
     def take(self) -> list[Wrench]:
-        """Samples since the last call."""
+        """Return the samples since the last call.
+
+        Raises:
+            Tripped: A sample is faulty, or no new value came for `STALE_S` (25 samples at least).
+        """
         samples = _fresh(self._force)
         for one in samples:
             before, self._newest = self._newest, one
@@ -145,7 +145,8 @@ class LiveSamples:
                 self._repeats += 1
         if self._clock.now_ns() - self._changed_ns > self._patience_ns:
             reason = Reason.FORCE_STUCK if self._repeats else Reason.FORCE_STALE
-            raise Tripped(reason, f"no new force came for {STALE_S:g} s while the stage moved")
+            waited_s = self._patience_ns / NS_PER_S
+            raise Tripped(reason, f"no new force came for {waited_s:g} s while the stage moved")
         return samples
 
 
