@@ -56,6 +56,8 @@ class GrblFirmware(GrblController):
             self._say(f"[VER:{version}:]", f"[OPT:V,{PLANNER},{RX_BYTES}]")
             if self._hal:
                 self._say("[FIRMWARE:grblHAL]")
+        elif line == "$N":
+            self._say(*(f"$N{i}={block}" for i, block in enumerate(self.model.startup)))
         elif line == "$G":
             unit, how = "G20" if self._modes.inches else "G21", "G91" if self._modes.steps else "G90"
             feed = f"{self._modes.feed_mm_min:.0f}"

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from tests.fakes.grbl_motion import NOWHERE, Millimetres
 
-SETTINGS: dict[int, float] = {1: 25, 3: 0, 10: 3, 13: 0, 20: 1, 21: 0, 22: 1, 23: 0, 27: 1} | {
+SETTINGS: dict[int, float] = {1: 25, 3: 0, 10: 3, 13: 0, 20: 1, 21: 0, 22: 1, 23: 0, 25: 500, 27: 1} | {
     first + axis: value
     for first, value in ((100, 250.0), (110, 1200.0), (120, 50.0), (130, 100.0))
     for axis in range(3)
@@ -38,6 +38,7 @@ class GrblParameters:
         print_s: how long it prints a report, in which the next `?` is lost [s]; 70 bytes at 115200 baud are
             6 ms. Zero where the clock is in the test's hand: there all is said at one instant.
         offset_mm: of work coordinates [mm].
+        startup: blocks run after each reset.
     """
 
     firmware: str = "1.1h"
@@ -53,6 +54,7 @@ class GrblParameters:
     latency_s: float = 0.0
     print_s: float = 0.0
     offset_mm: Millimetres = NOWHERE
+    startup: tuple[str, str] = ("", "")
 
 
 @dataclass(frozen=True, slots=True)

@@ -112,6 +112,31 @@ def test_a_retry_after_contact_in_the_first_approach_accepts_no_wrong_position(
     assert stage.deepest_m / MM <= RULE_MM
 
 
+class TurnedStage(MistakenStage):
+    """A stage whose z goes the other way than it reports, from where it was opened."""
+
+    def position_m(self) -> Position:
+        x, y, z = self._true()
+        return x, y, -2.0 * MM - z
+
+    def move_to(self, position_m: Position, speed_m_s: float) -> None:
+        x, y, z = position_m
+        self.fastest_m_s = max(getattr(self, "fastest_m_s", 0.0), speed_m_s)
+        self._stage.move_to((x, y, -2.0 * MM - z), speed_m_s)
+
+
+def test_a_first_lift_that_leads_into_the_skin_ends_at_search_speed_and_is_not_repeated_deeper(
+    tmp_path: Path,
+) -> None:
+    made = rig(variation=IDEAL)
+    stage = TurnedStage(made.stage, (0.0, 0.0, 0.0))
+    chosen = plan(clearance_mm=4.0)
+    outcome = record(replace(made, stage=stage), chosen, tmp_path / "run")
+    assert outcome.state is State.FAILED
+    assert stage.fastest_m_s == pytest.approx(chosen.seek_mm_s * MM)
+    assert stage.deepest_m / MM <= 1.0, "of the 4 mm to the clearance"
+
+
 class SlopedStage(MistakenStage):
     """A stage over a skin that rises along x; `deepest_m` is below that skin, beside the center."""
 

@@ -190,7 +190,29 @@ def test_a_jog_into_the_skin_ends_at_its_change_of_force() -> None:
     with pytest.raises(Tripped) as told:
         jogged(rig, distance_m=9e-3, stop_n=1.0)
     assert told.value.reason is Reason.FORCE_LIMIT
-    assert 0 < rig.stage.position_m()[2] < 2e-3  # of 4 mm that it was sent into the skin
+    assert abs(rig.stage.position_m()[2]) < 0.2e-3  # back in the air, of 4 mm that it was sent into the skin
+
+
+def test_a_jog_whose_sensor_is_at_the_end_of_its_range_ends_and_goes_back() -> None:
+    rig = virtual_rig()
+    whole, zero_n = rig.force.drain, rig.force.latest().force_n
+
+    def railed() -> list[Wrench]:
+        return [
+            replace(
+                one,
+                force_n=tuple(
+                    z + max(-0.5, min(f - z, 0.5)) for f, z in zip(one.force_n, zero_n, strict=True)
+                ),
+            )
+            for one in whole()
+        ]
+
+    rig.force.drain = railed  # type: ignore[method-assign]
+    with pytest.raises(Tripped) as told:
+        jogged(rig, distance_m=9e-3)
+    assert told.value.reason is Reason.FORCE_DEAD
+    assert rig.stage.position_m()[2] < 0.3e-3
 
 
 @pytest.mark.parametrize("after_s", [0.4, 1.0, 2.0])

@@ -83,12 +83,32 @@ def test_homing_in_the_air_goes_on() -> None:
     assert not stage.stopped.is_set()
 
 
-def test_a_pull_off_beyond_the_lift_before_homing_is_refused(grbl_bench) -> None:
-    bench = grbl_bench(GrblParameters(homed=True, settings={27: 20}))
+@pytest.mark.parametrize(("setting", "code"), [({27: 20}, "homing-pull-off"), ({25: 1500}, "homing-speed")])
+def test_homing_that_would_enter_the_skin_too_far_or_too_fast_is_refused(grbl_bench, setting, code) -> None:
+    bench = grbl_bench(GrblParameters(homed=True, settings=setting))
     stage = bench.open(known=False)
-    with refused("homing-pull-off", DeviceError):
+    with refused(code, DeviceError):
         stage.home()
     assert b"$H" not in bench.received
+
+
+@pytest.mark.parametrize(
+    ("block", "moves"),
+    [("G91G0Z-40", True), ("G28", True), ("G20 G1 X1", True), ("G21 G90 G17 G54 M5 S100", False)],
+)
+def test_a_startup_block_that_moves_is_refused(grbl_bench, block: str, moves: bool) -> None:
+    bench = grbl_bench(GrblParameters(homed=True, startup=("", block)))
+    if moves:
+        with refused("startup-motion", DeviceError):
+            bench.open(known=False)
+    else:
+        bench.open(known=False)
+
+
+def test_lathe_mode_is_refused(grbl_bench) -> None:
+    bench = grbl_bench(GrblParameters(firmware="grblHAL", homed=True, settings={32: 2}))
+    with refused("lathe-mode", DeviceError):
+        bench.open(known=False)
 
 
 @pytest.mark.parametrize(

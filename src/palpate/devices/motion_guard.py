@@ -138,6 +138,7 @@ class MotionGuard:
         self._stoppable: tuple[OperatorCommand, ...] = ()  # what may stop the move that is under way
         self._age_s = 0.0  # of the sample that `fresh` handed out last
         self._left: Position | None = None  # where it stood after the last move that arrived
+        self._lift_from_n: float | None = None  # force at the start of a lift that a rise has stopped
 
     @property
     def force_n(self) -> Force:
@@ -188,7 +189,7 @@ class MotionGuard:
             raise Tripped(Reason.PLAN, "a lift before anybody stated the clearance")
         x, y, z = self.position_m()
         if z > self.clearance.z_m:
-            self.away((x, y, self.clearance.z_m), self.clearance.speed_m_s)
+            self.away((x, y, self.clearance.z_m), self.clearance.speed_m_s, judged=False)
 
     def wait(self, seconds: float, *, judged: bool = True) -> list[Wrench]:
         """Let time pass while watching, and return what the sensor measured in it.
@@ -232,15 +233,20 @@ class MotionGuard:
                 return True
         return until(self._bias.force(self._moved_on()))
 
-    def away(self, target: Position, speed_m_s: float) -> None:
+    def away(self, target: Position, speed_m_s: float, *, judged: bool = True) -> None:
         """Move away from the skin, or beside it, in one go; allowed under a force above the limit.
 
-        At a speed at which it may also move towards the skin, it stops on a force that is not believed.
-        Faster, or after that, it goes on to its target whatever the sensor reads: away is where nothing is
-        pressed.
+        Where judged, and at a speed at which it may also move towards the skin, it stops on a force that is
+        not believed. Faster, or after that, it goes on to its target whatever the sensor reads: away is where
+        nothing is pressed. A lift that a rise of the force has stopped is tried again from the same force
+        only, since z may be turned round.
         """
         self._limits.check_target(target)
         start_n, up = self._last_force(), target[2] < self.position_m()[2] - LEVEL_M
+        if up and start_n is not None and self._lift_from_n is not None:
+            if start_n > self._lift_from_n + RISE_N:
+                raise self._named(self.monitor.rise(self._lift_from_n, start_n, up))
+            start_n = min(start_n, self._lift_from_n)
 
         def rising(sample: Wrench) -> None:
             force = math.hypot(*self._bias.force(sample))
@@ -249,13 +255,15 @@ class MotionGuard:
             if slow and force <= self._limits.force_n:
                 self._believe(sample)
             if start_n is not None and force > start_n + RISE_N:
+                self._lift_from_n = start_n if up else self._lift_from_n
                 raise _DoubtError(self.monitor.rise(start_n, force, up))
 
         travel = self._stage.travel
         speed = min(speed_m_s, travel.top_speed_m_s)
-        slow = self._limits.runs_on_m(speed, travel) <= self._limits.overshoot_m
+        slow = judged and self._limits.runs_on_m(speed, travel) <= self._limits.overshoot_m
         self._phase = Phase.UP if slow else Phase.LIFT
         self._run(target, speed, _never, rising, LEAVING)
+        self._lift_from_n = None
 
     def look(self, asks: tuple[OperatorCommand, ...] = AT_ONCE, *, judged: bool = True) -> list[Wrench]:
         """Take in and publish what the sensor measured since, and raise on what must stop a motion."""

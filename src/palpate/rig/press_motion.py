@@ -91,7 +91,9 @@ class PressMotion:
 
     def _set_clearance(self, higher_mm: float) -> None:
         self._higher_m = higher_mm * MM
-        self._guard.clearance = Clearance(self._clearance_m, self._plan.travel_mm_s * MM)
+        # Until a press has shown the way of z, a lift may lead into the skin.
+        speed_mm_s = self._plan.travel_mm_s if self._position_proven else self._plan.seek_mm_s
+        self._guard.clearance = Clearance(self._clearance_m, speed_mm_s * MM)
 
     @property
     def _clearance_m(self) -> float:
@@ -123,6 +125,11 @@ class PressMotion:
         """
         self._position_proven = False
         self._set_clearance(0.0)
+
+    def _prove_position(self) -> None:
+        """Lift at travel speed from now on: the skin was found where z leads into it."""
+        self._position_proven = True
+        self._set_clearance(self._higher_m / MM)
 
     def _search(self, target: Position, step_m: float | None, speed_m_s: float) -> None:
         """Move, and end on any contact."""
@@ -281,7 +288,7 @@ class PressMotion:
             self._guard.new_tool(self._rig.stiffness.get(press.indenter))
         self.measure_bias()
         felt = touch_gently(self._rig, self._plan, self._guard)
-        self._position_proven = True
+        self._prove_position()
         self._recorder.event(TOUCH, place=press.place.name, **asdict(felt))
 
     def seek(self) -> None:
@@ -299,7 +306,7 @@ class PressMotion:
                 f"{self._place.name}; is the layer there, and the force sensor's sign right?",
             )
         self._found_contact(self._guard.position_m()[2])
-        self._position_proven = True
+        self._prove_position()
 
     def _found_contact(self, z_m: float) -> None:
         """Let the press's depths count from this height, along the stage's z [m]."""

@@ -174,8 +174,8 @@ def zero(rig: RigName, position: PositionSource = None) -> None:
         )
     x, y, z = found.force_n
     text = (
-        f"{rig}: {x:.4f}, {y:.4f}, {z:.4f} N in the air, noise {found.noise_n:.4f} N along the press, "
-        f"{found.rate_hz:.0f} samples/s"
+        f"{rig}: {x:.4f}, {y:.4f}, {z:.4f} N, the same over a lift of {found.lifted_mm:.1f} mm; noise "
+        f"{found.noise_n:.4f} N along the press, {found.rate_hz:.0f} samples/s"
     )
     print_found({"rig": rig, **asdict(found)}, text)
 

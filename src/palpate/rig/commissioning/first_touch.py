@@ -164,7 +164,7 @@ def _stepped(at: Position, limits: Limits, axis: str, far_m: float) -> Position:
 def _go_above(hand: Hand, limits: Limits, above: Three) -> None:
     """Aside first and then down, stopped by a change of force of 1 N from that of the air."""
     stage, at = hand.stage, hand.stage.position_m()
-    guard = guard_from_air(hand, limits, JOG_N)
+    guard, _ = guard_from_air(hand, limits, JOG_N)
     speed = min(MAX_JOG_M_S, limits.fastest_m_s(stage.travel))
     try:
         for target in ((above[0], above[1], min(at[2], above[2])), above):

@@ -27,6 +27,7 @@ from palpate.devices import ForceReached, Limits, Mounting, OperatorControl, Rea
 from palpate.devices.device_proxies import PlainForceSource
 from palpate.devices.force_bias import Force, ForceBias
 from palpate.devices.motion_guard import MotionGuard
+from palpate.rig.commissioning.felt_way import feel_way
 
 STEP_M = 0.2e-3  # of a lift; the force is measured after each
 SAME_M = 1e-6  # between two positions that are the same
@@ -423,8 +424,8 @@ def has_room_to_lift(stage: Stage, limits: Limits) -> bool:
     return stage.position_m()[2] - FLAT_M >= limits.least_m[2]
 
 
-def guard_from_air(hand: Hand, limits: Limits, stop_n: float) -> MotionGuard:
-    """Return a guard whose zero is the air, with the stage back where it stood.
+def guard_from_air(hand: Hand, limits: Limits, stop_n: float) -> tuple[MotionGuard, float]:
+    """Return a guard whose zero is the air, with the stage back where it stood, and the noise there [N].
 
     A guard that is zeroed where the probe stands allows `stop_n` more in each motion: repeated, they would
     press without a bound. At the upper soft limit, where nothing can be lifted, the probe is lowered instead.
@@ -451,7 +452,7 @@ def guard_from_air(hand: Hand, limits: Limits, stop_n: float) -> MotionGuard:
         _prove_air_below(hand, guard, limits, slow_m_s)
     if math.dist(stage.position_m(), at) > SAME_M:
         guard.towards(at, slow_m_s)
-    return guard
+    return guard, seen.noise_n
 
 
 def _prove_air_below(hand: Hand, guard: MotionGuard, limits: Limits, speed_m_s: float) -> None:
@@ -499,8 +500,10 @@ def jog(
 ) -> None:
     """Move one axis by so far, stopped by any change of force from that of the air.
 
-    Other than away, the probe is first lifted by `FLAT_M`, which proves the air, and lowered again. Away from
-    the skin the force may fall by as much as the rig allows until it is flat: it may stand in the skin.
+    Other than away, the probe is first lifted by `FLAT_M`, which proves the air, and lowered again; where
+    contact ends the way, it goes back to the air (`feel_way`). Away from the skin the force may fall by as
+    much as the rig allows until it is flat: it may stand in the skin. No jog is faster than the speed at
+    which the probe may move towards the skin, since z may be turned round.
 
     Args:
         axis: x, y or z of the skin's frame; z leads into it.
@@ -525,11 +528,13 @@ def jog(
         found = lift_clear(hand, limits, reach_m=-distance_m, rise_n=stop_n)
         left_m = -distance_m - found.lifted_mm * 1e-3
         if left_m > SAME_M:  # in the air, any change ends it: z may be turned round
-            retreat(hand, left_m, speed_m_s, start=found, rise_n=stop_n, most_n=stop_n)
+            no_faster_m_s = min(speed_m_s, limits.fastest_m_s(stage.travel))
+            retreat(hand, left_m, no_faster_m_s, start=found, rise_n=stop_n, most_n=stop_n)
     else:
         limits.check_speed(speed_m_s, stage.travel)  # before anything moves
         hand = Hand(stage, force, mounting, clock)
-        guard_from_air(hand, limits, stop_n).towards(target, speed_m_s)
+        guard, noise_n = guard_from_air(hand, limits, stop_n)
+        feel_way(guard, target, speed_m_s, noise_n)
 
 
 def move_watched(

@@ -23,6 +23,7 @@ from palpate.rig.real.grbl.grbl_supervisor import (
     GrblSpec,
     check_limits,
     check_reports,
+    check_startup,
     read_machine,
 )
 from palpate.rig.real.position_evidence import (
@@ -79,6 +80,7 @@ class GrblSession:
             self.machine = self._greet()
             self.hal = "hal" in self.ask_firmware().lower()
             check_reports(self.machine, hal=self.hal)
+            check_startup(self.link)
             check_limits(spec, self.machine)
             self._slowing_s = self.machine.slowing_s
         except BaseException:

@@ -24,6 +24,7 @@ from palpate.rig.real.grbl.grbl_supervisor import GrblMachine, GrblSpec
 from palpate.rig.real.position_evidence import WHY, PositionFault
 from palpate.rig.real.serial_port import SerialPort
 
+MAX_HOMING_MM_MIN = 600.0  # at which the force stops it within a millimeter
 MAX_PULL_OFF_MM = 5.0  # of homing; the probe is lifted by 8 mm before
 
 
@@ -196,6 +197,12 @@ class GrblStage(GcodeStage):
                     f"$27={machine.pull_off_mm:g} mm is the way back from the switches, towards the skin; "
                     f"{MAX_PULL_OFF_MM:g} mm are allowed; it was not homed. Set $27 to 1 to 3 mm",
                     code="homing-pull-off",
+                )
+            if machine.homing_mm_min > MAX_HOMING_MM_MIN:  # a switch that is not felt leads into the skin
+                raise DeviceError(
+                    f"$25={machine.homing_mm_min:g} mm/min is faster than a force can stop; "
+                    f"{MAX_HOMING_MM_MIN:g} mm/min are allowed; it was not homed. Set $25 to 500",
+                    code="homing-speed",
                 )
             _home(self._session, halts)
 

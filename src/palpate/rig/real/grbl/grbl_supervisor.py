@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 
 from palpate.core import DeviceError, InputError, RangeError
 from palpate.rig.real.gcode_spec import MM_PER_M, S_PER_MIN, GcodeSpec, Millimetres, Mount
-from palpate.rig.real.grbl.grbl_link import GrblLink
-from palpate.rig.real.grbl.grbl_parser import Setting
+from palpate.rig.real.grbl.grbl_link import GrblLink, RefusedError
+from palpate.rig.real.grbl.grbl_parser import GrblMessage, Setting
 
 _REPORT_MACHINE, _REPORT_PINS = (
     1,
     16,
 )  # bits of $10; the second is of grblHAL alone, Grbl 1.1 always reports inputs
+
+_MOVES = re.compile(r"=.*?(?:[XYZABC]|G0*(?:[0-3]|28|30|38)(?!\d))")
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +60,7 @@ class GrblMachine:
         motors_hold: whether the motors keep their current at rest, $1=255.
         reversed_axes: $3, a bit for each axis that runs the other way.
         pull_off_mm: $27, the way back from the switches [mm].
+        homing_mm_min: $25, the speed at which the switches are searched for [mm/min].
         homes_down: $23, a bit for each axis that homes towards smaller machine coordinates.
     """
 
@@ -69,12 +74,15 @@ class GrblMachine:
     reversed_axes: int = 0
     homes_down: int = 0
     pull_off_mm: float = 1.0
+    homing_mm_min: float = 500.0
 
     @classmethod
     def read(cls, settings: Mapping[int, str]) -> GrblMachine:
         """Read the settings from their numbers and texts."""
         if _number(settings, 13) != 0:
             raise DeviceError("the controller reports in inches ($13=1); set $13=0 on it")
+        if settings.get(32, "0").split()[:1] == ["2"]:  # of grblHAL, where x may be a diameter
+            raise DeviceError("the controller is in lathe mode ($32=2); set $32=0 on it", code="lathe-mode")
         return cls(
             steps_per_mm=_three(settings, 100),
             top_mm_min=_three(settings, 110),
@@ -86,6 +94,7 @@ class GrblMachine:
             reversed_axes=int(_number(settings, 3)),
             homes_down=int(_number(settings, 23)),
             pull_off_mm=_number(settings, 27),
+            homing_mm_min=_number(settings, 25),
         )
 
     def homes_into_skin(self, axes: tuple[str, str, str]) -> bool:
@@ -117,6 +126,23 @@ def read_machine(link: GrblLink) -> GrblMachine:
         if settings:
             return GrblMachine.read(settings)
     raise DeviceError("the stage's controller does not list its settings on $$")
+
+
+def check_startup(link: GrblLink) -> None:
+    """Refuse startup blocks that move: the firmware runs them after each reset and after homing.
+
+    Raises:
+        DeviceError: `$N0` or `$N1` moves an axis (`startup-motion`).
+    """
+    with suppress(RefusedError):  # a build without startup blocks
+        for said in link.command("$N"):
+            if isinstance(said, GrblMessage) and said.tag == "startup" and _MOVES.search(said.text.upper()):
+                name = said.text.partition("=")[0]
+                raise DeviceError(
+                    f"the startup block {said.text} on the stage's controller moves it after each reset and "
+                    f"after homing; clear it with {name}=",
+                    code="startup-motion",
+                )
 
 
 def check_reports(machine: GrblMachine, *, hal: bool) -> None:

@@ -1,0 +1,104 @@
+"""Jog through the air that ends at contact: it goes back as soon as the force says so.
+
+A sensor at the end of its range, or with an overload stop beside it, reads a constant force while the probe
+goes on. So the force must also rise while the depth doubles.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from palpate.core import Position, Wrench
+from palpate.devices import Reason, Tripped
+from palpate.devices.motion_guard import MotionGuard
+
+ONSET_N, ONSET_SIGMAS = 0.1, 20.0  # change of force that is contact for certain
+AIR_SHARE = 0.25  # of that change, below which the probe was still in the air
+GROWTH = 1.25  # least factor by which the force rises while the depth doubles
+LEAST_M = 50e-6  # over which no growth is asked for
+_STANDS = (Reason.STAGE, Reason.STAGE_LATE, Reason.HARDWARE_STOP)  # where nothing more is to be moved
+
+
+class FeltWay:
+    """Change of the force along a way that began in the air.
+
+    Attributes:
+        began_m: way at which the force was last that of the air [m].
+
+    Example:
+        >>> way = FeltWay(noise_n=0.002)
+        >>> for i in range(5):
+        ...     way.take(0.1e-3 * i, 0.2 * i)  # 2 N/mm
+        >>> way.began_m
+        0.0
+        >>> way.take(0.9e-3, 0.8)
+        Traceback (most recent call last):
+            ...
+        palpate.devices.motion_limits.Tripped: the force stayed at 0.80 N ...
+    """
+
+    def __init__(self, noise_n: float) -> None:
+        self._onset_n = max(ONSET_N, ONSET_SIGMAS * noise_n)
+        self.began_m = self._level_m = 0.0
+        self._level_n = 0.0
+
+    def take(self, way_m: float, force_n: float) -> None:
+        """Take the greatest force since the last call, at a way.
+
+        Raises:
+            Tripped: The force stays while the depth doubled (`FORCE_DEAD`).
+        """
+        if force_n < AIR_SHARE * self._onset_n:
+            self.began_m, self._level_n = way_m, 0.0
+        elif force_n >= max(self._onset_n, GROWTH * self._level_n):
+            self._level_m, self._level_n = way_m, force_n
+        more_m = way_m - self._level_m
+        if self._level_n and more_m > max(LEAST_M, self._level_m - self.began_m):
+            raise Tripped(
+                Reason.FORCE_DEAD,
+                f"the force stayed at {force_n:.2f} N over {more_m * 1e3:.2f} mm in contact: the sensor is "
+                "at the end of its range, or something beside it takes the load",
+            )
+
+
+def feel_way(guard: MotionGuard, target: Position, speed_m_s: float, noise_n: float) -> None:
+    """Move from the air to a target; where contact ends that, go back to where the air ended.
+
+    Args:
+        guard: Zeroed in the air.
+        noise_n: Standard deviation of a force sample [N].
+
+    Raises:
+        Tripped: A limit, or contact; the probe is back in the air unless the message says otherwise.
+    """
+    start = guard.position_m()
+    way = FeltWay(noise_n)
+    peak_n = 0.0
+
+    def feel(samples: Sequence[Wrench]) -> None:
+        nonlocal peak_n
+        good = [math.hypot(*guard.skin_n(one)) for one in samples if not one.fault]
+        peak_n = max(good, default=peak_n)
+
+    def look(at: Position, time_ns: int) -> None:
+        way.take(math.dist(start, at), peak_n)
+
+    with guard.samples.subscribed(feel), guard.positions.subscribed(look):
+        try:
+            guard.towards(target, speed_m_s)
+            return
+        except Tripped as e:
+            stopped = e
+    if stopped.reason in _STANDS or not way.began_m < math.dist(start, guard.position_m()):
+        raise stopped
+    share = way.began_m / math.dist(start, target)
+    x, y, z = (a + share * (b - a) for a, b in zip(start, target, strict=True))
+    back_m = math.dist((x, y, z), guard.position_m())
+    try:
+        guard.away((x, y, z), speed_m_s, judged=False)
+    except Tripped as e:
+        told = f"{stopped}; the probe did not go back: {e}"
+    else:
+        told = f"{stopped}; the probe went back by {back_m * 1e3:.2f} mm"
+    raise Tripped(stopped.reason, told, stopped.numbers) from stopped
