@@ -12,6 +12,7 @@ from tests.fakes.grbl_parameters import GrblFaults, GrblParameters
 from tests.rig.serial_terminal import FakeTerminal
 
 from palpate.core.clock import NS_PER_S, ManualClock
+from palpate.devices import motion_guard
 from palpate.rig.real.grbl.grbl_stage import GrblStage
 from palpate.rig.real.grbl.grbl_supervisor import GrblSpec
 
@@ -129,6 +130,12 @@ def grbl_bench():
             )
 
         yield make
+
+
+@pytest.fixture
+def coarse_looks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the guard look once a force sample of a virtual rig: for tests of what is recorded."""
+    monkeypatch.setattr(motion_guard, "POLL_S", 0.005)
 
 
 @pytest.fixture

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from palpate.core.clock import NS_PER_S, ManualClock
 from palpate.recordings.run_reader import Run
 from palpate.rig.plans import Listed, StepHold
 from palpate.rig.rig import Rig
 from palpate.rig.virtual import Fault, Variation, virtual_rig
+from palpate.rig.virtual.straight_motion import standing
 from palpate.sensors import palm
 from palpate.sensors.palm.palm_sensor import Palm
 
@@ -37,6 +40,28 @@ def rig(*faults: Fault, **kwargs: Any) -> Rig:
     """A rig of tiny frames on which nothing varies; faults count from its start."""
     settings = {"sensor": Palm(SPEC), "clock": ManualClock(CLOCK_NS), "variation": IDEAL, "faults": faults}
     return virtual_rig(**{**settings, **kwargs})
+
+
+def near(*faults: Fault, **kwargs: Any) -> Rig:
+    """The same with the probe 1 mm above the skin, so that the first approach is short."""
+    made = rig(*faults, **kwargs)
+    world = made.stage._world  # type: ignore[attr-defined]
+    start = (0.0, 0.0, -1e-3)
+    world._motions[-1] = standing(start, world.now_s)
+    world._played = np.array(start)
+    return made
+
+
+def quick(**kwargs: Any) -> StepHold:
+    """The small plan with one cycle, two places 2 mm apart, and one frame a shot: 8 shots, fast moves."""
+    settings: dict[str, Any] = {
+        "places": Listed(kind="listed", at_mm=((0.0, 0.0), (2.0, -1.0))),
+        "cycles": 1,
+        "frames": 1,
+        "seek_mm_s": 5.0,
+        "press_mm_s": 5.0,
+    }
+    return plan(**{**settings, **kwargs})
 
 
 def plan(**kwargs: Any) -> StepHold:

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from tests.rig.rigs import CLEARANCE_MM, CLOCK_NS, keys, plan, rig, wanted
+from tests.rig.rigs import CLEARANCE_MM, CLOCK_NS, keys, near, plan, quick, rig, wanted
 
 from palpate.core import Frame, Wrench
 from palpate.core.clock import ManualClock
@@ -22,6 +22,8 @@ from palpate.rig.plans import Grid, Listed, Ramp
 from palpate.rig.run_progress import fields_of
 from palpate.rig.virtual import Fault, Variation
 from palpate.rig.virtual.virtual_bench import TRAVEL
+
+CENTRE = Listed(kind="listed", at_mm=((0.0, 0.0),))
 
 
 @pytest.mark.parametrize(
@@ -54,7 +56,7 @@ def test_every_fault_stops_with_its_name_and_the_run_goes_on_afterwards(
 ) -> None:
     out = tmp_path / "run"
     # Seven frames, so that a frozen camera is noticed within a shot; one place, which each fault comes at.
-    small = plan(frames=7, cycles=1, depth_mm=0.8, places=Listed(kind="listed", at_mm=((0.0, 0.0),)))
+    small = plan(frames=7, cycles=1, depth_mm=0.8, places=CENTRE)
     faulty = rig(Fault(fault, after_s))  # type: ignore[arg-type]
     outcome = record(faulty, small, out)
     assert outcome.state is State.FAILED
@@ -75,14 +77,13 @@ def test_every_fault_stops_with_its_name_and_the_run_goes_on_afterwards(
     assert check(run.path).sound
     if fault not in ("stage-gone", "stage-stuck"):  # gone, or it takes no move
         assert faulty.stage.position_m()[2] <= -CLEARANCE_MM * 1e-3 + 1e-9, "the probe is lifted"
-    assert record(rig(clock=ManualClock(3 * CLOCK_NS)), small, out).state is State.DONE
+    assert record(near(clock=ManualClock(3 * CLOCK_NS)), small, out).state is State.DONE
     assert sorted(keys(Run.open(out))) == sorted(wanted(small))
 
 
 def test_a_stage_that_does_not_stop_is_said_so(tmp_path: Path) -> None:
-    outcome = record(rig(Fault("stage-deaf"), Fault("force-stalls", 3.0)), plan(), tmp_path / "run")
-    assert outcome.state is State.FAILED
-    assert outcome.reason is Reason.STAGE
+    outcome = record(near(Fault("stage-deaf"), Fault("force-stalls", 3.0)), plan(), tmp_path / "run")
+    assert (outcome.state, outcome.reason) == (State.FAILED, Reason.STAGE)
     assert "not stop" in outcome.message
 
 
@@ -132,12 +133,12 @@ def test_a_camera_that_gives_no_frames_stops_a_sweep(tmp_path: Path) -> None:
         name="slow",
         kind="swept",
         taps=0,
-        places=Listed(kind="listed", at_mm=((0.0, 0.0),)),
+        places=CENTRE,
         cycles=1,
         speed_mm_s=1.0,
         depth_mm=2.0,
     )
-    stalled = rig(Fault("camera-stalls", 2.0))
+    stalled = near(Fault("camera-stalls", 2.0))
     outcome = record(stalled, slow, tmp_path / "run")
     assert (outcome.state, outcome.reason) == (State.FAILED, Reason.CAMERA)
     assert "no frame" in outcome.message
@@ -149,7 +150,7 @@ def refused_writes(patch: pytest.MonkeyPatch) -> None:
     real, count = mcap_file.HeldFile.write, iter(range(10_000_000))
 
     def filling(self: mcap_file.HeldFile, data: bytes) -> None:
-        if next(count) > 60:
+        if next(count) > 20:
             raise OSError(28, "No space left on device")
         real(self, data)
 
@@ -176,10 +177,10 @@ def test_a_full_disk_stops_and_lifts_and_the_run_stays_readable(
     if full is refused_room and not hasattr(os, "posix_fallocate"):
         pytest.skip("this system holds no room on a disk")
     full(monkeypatch)
-    small, seen, out = rig(), [], tmp_path / "run"
+    small, seen, out, of = near(), [], tmp_path / "run", quick()
     # The engine ends with a named state; closing the segment then says once more that the disk is full.
     with pytest.raises(StorageError, match=r"full|space|room"):
-        record(small, plan(), out, watch=seen.append)
+        record(small, of, out, watch=seen.append)
     assert seen[-1].state is State.FAILED
     monkeypatch.undo()
     assert small.stage.position_m()[2] <= -CLEARANCE_MM * 1e-3 + 1e-9
@@ -191,8 +192,8 @@ def test_a_full_disk_stops_and_lifts_and_the_run_stays_readable(
         last = fields_of(run, "state")[-1]
         assert last["state"] == "failed"
         assert "room left" in str(last["message"])
-    assert record(rig(clock=ManualClock(3 * CLOCK_NS)), plan(), out).state is State.DONE
-    assert sorted(keys(Run.open(out))) == sorted(wanted(plan()))
+    assert record(near(clock=ManualClock(3 * CLOCK_NS)), of, out).state is State.DONE
+    assert sorted(keys(Run.open(out))) == sorted(wanted(of))
 
 
 class Odd:
@@ -221,7 +222,6 @@ class Odd:
     ("device", "call", "result", "reason"),
     [
         ("force", "drain", math.nan, Reason.FORCE_FAULT),
-        ("force", "drain", math.inf, Reason.FORCE_FAULT),
         ("force", "drain", KeyError("Fz"), Reason.FORCE_SENSOR),
         ("force", "latest", ValueError("odd"), Reason.FORCE_SENSOR),
         ("camera", "grab", RuntimeError("usb"), Reason.CAMERA),
@@ -231,7 +231,7 @@ class Odd:
 def test_whatever_a_driver_does_the_probe_is_lifted_and_the_name_is_the_device_s(
     tmp_path: Path, device: str, call: str, result: object, reason: Reason
 ) -> None:
-    sound = rig()
+    sound = near()
     odd = replace(sound, **{device: Odd(getattr(sound, device), call, sound, result)})
     outcome = record(odd, plan(), tmp_path / "run")
     assert (outcome.state, outcome.reason) == (State.FAILED, reason)
@@ -241,7 +241,7 @@ def test_whatever_a_driver_does_the_probe_is_lifted_and_the_name_is_the_device_s
 
 
 def test_a_stage_that_answers_only_at_the_second_try_is_lifted_at_the_third(tmp_path: Path) -> None:
-    sound, failures = rig(), iter(range(2))
+    sound, failures = near(), iter(range(2))
 
     class Late:
         """Silent for two calls after the force failed."""
@@ -267,7 +267,7 @@ def test_a_probe_that_stays_is_said_to_stay(tmp_path: Path) -> None:
 
 
 def test_one_who_watches_and_fails_does_not_hold_the_probe_in_the_skin(tmp_path: Path) -> None:
-    sound = rig()
+    sound = near()
 
     def watch(status: object) -> None:
         if sound.stage.position_m()[2] > 0.3e-3:
@@ -278,16 +278,8 @@ def test_one_who_watches_and_fails_does_not_hold_the_probe_in_the_skin(tmp_path:
     assert sound.stage.position_m()[2] <= -CLEARANCE_MM * 1e-3 + 1e-9
 
 
-def test_a_skin_above_the_clearance_is_found_and_left(tmp_path: Path) -> None:
-    higher_m = 1.5e-3
-    high = rig(askew_m=(0.0, 0.0, -higher_m))
-    outcome = record(high, plan(), tmp_path / "run")
-    assert (outcome.state, outcome.reason) == (State.FAILED, Reason.TOUCHED_EARLY)
-    assert high.stage.position_m()[2] < -higher_m - CLEARANCE_MM * 1e-3
-
-
 def test_a_zero_that_was_taken_in_contact_is_given_up_and_the_probe_lifted(tmp_path: Path) -> None:
-    sound = rig()
+    sound = near()
     world, drain = sound.stage._world, sound.force.drain  # type: ignore[attr-defined]
 
     def risen() -> list[Wrench]:
@@ -311,7 +303,7 @@ def test_a_recording_that_is_aborted_before_it_begins_moves_nothing(tmp_path: Pa
 
 
 def test_frames_that_run_backwards_are_the_camera_s_fault(tmp_path: Path) -> None:
-    sound, count = rig(), iter(range(1, 1000))
+    sound, count = near(), iter(range(1, 1000))
     grab = sound.camera.grab
 
     def back(timeout_s: float = 1.0) -> tuple[int, Frame]:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from tests.rig.altered_force import AlteredForce
 from tests.rig.guarded_presses import CENTRE, NoRecorder, PressBench
-from tests.rig.rigs import plan, rig
+from tests.rig.rigs import near, plan
 
 from palpate.core.sensor import for_rig, sensor as sensor_of
 from palpate.devices import MotionGuard, OperatorControl, Reason, Tripped
@@ -21,7 +21,6 @@ from palpate.rig.plans import Listed, StepHold
 from palpate.rig.plans.recording_plan import PlannedPress
 from palpate.rig.press_motion import PressMotion
 from palpate.rig.run_progress import TOUCH, ZERO, fields_of
-from palpate.rig.sign_touch import allowed_lag_s
 from palpate.rig.virtual.virtual_bench import default_variation
 
 SENSORS = ("palm", "tactip", "nusense")
@@ -61,6 +60,7 @@ def touched(sensor: str, delay_s: float, noise: float = 1.0, seed: int = 0, late
 
 @pytest.mark.parametrize("delay_s", [0.05, 0.1, 0.15])
 @pytest.mark.parametrize("sensor", SENSORS)
+@pytest.mark.cases(3)
 def test_a_force_that_is_late_is_found_in_the_touch_with_its_lag(sensor: str, delay_s: float) -> None:
     tripped = touched(sensor, delay_s)
     if (sensor, delay_s) == ("palm", 0.15):  # the monitor is first: nothing has fallen yet on the way back
@@ -73,6 +73,7 @@ def test_a_force_that_is_late_is_found_in_the_touch_with_its_lag(sensor: str, de
 
 @pytest.mark.parametrize("delay_s", [0.0, 0.01])
 @pytest.mark.parametrize("sensor", SENSORS)
+@pytest.mark.cases(2)
 def test_a_force_that_is_in_time_is_believed_with_its_lag(sensor: str, delay_s: float) -> None:
     fields = touched(sensor, delay_s)
     assert fields["lag_s"] == pytest.approx(delay_s, abs=3 * STEP_S)
@@ -104,20 +105,13 @@ def test_a_latency_that_the_rig_states_is_no_fault() -> None:
 
 
 def test_no_press_begins_under_a_late_force(tmp_path: Path) -> None:
-    sound = rig()
+    sound = near()
     late = replace(sound, force=AlteredForce(sound.force, sound.clock, 0.1))
     outcome = record(late, plan(cycles=1), tmp_path / "run")
     assert (outcome.state, outcome.shots) == (State.FAILED, 0)
     assert outcome.reason in (Reason.FORCE_LAG, Reason.FORCE_DEAD)  # both detectors judge the gentle touch
     run = Run.open(tmp_path / "run")
     assert fields_of(run, ZERO) == fields_of(run, TOUCH) == []
-
-
-def test_the_allowed_lag_is_that_of_the_limits_the_stage_and_the_reported_position() -> None:
-    there = rig()
-    assert allowed_lag_s(there) == pytest.approx(
-        there.limits.force_latency_s + there.stage.travel.latency_s + 0.01
-    )
 
 
 class TestLagOf:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.rig.rigs import CLEARANCE_MM, CLOCK_NS, plan, rig
+from tests.rig.rigs import CLEARANCE_MM, CLOCK_NS, near, plan
 
 from palpate.core import NS_PER_S, Wrench
 from palpate.devices import Reason
@@ -39,7 +39,7 @@ class BackdatedForce:
 def test_force_stamps_that_run_back_are_a_force_fault_and_the_probe_is_lifted(
     tmp_path: Path, after_s: float
 ) -> None:
-    one = rig()
+    one = near()
     backdated = BackdatedForce(one.force, CLOCK_NS + round(after_s * NS_PER_S), 1.0)
     outcome = record(replace(one, force=backdated), plan(), tmp_path / "run")
     assert (outcome.state, outcome.reason) == (State.FAILED, Reason.FORCE_FAULT)

@@ -52,11 +52,6 @@ class TestS1Banner:
         stage.home()
         assert stage.position_m() == pytest.approx((-0.001, 0.001, 0.001))
 
-    def test_it_names_firmware_and_version(self, grbl_bench):
-        booting = GrblParameters(boot_s=0.3, homing_s=0.0)
-        stage = grbl_bench(booting, clock=MonotonicClock(), boot_s=5.0, **REAL_TIME).open(known=False)
-        assert stage.firmware == stage.ask_firmware() == "Grbl 1.1h"
-
     def test_none_at_all_is_no_fault_where_status_is_answered(self, grbl_bench):
         bench = grbl_bench(faults=GrblFaults(no_banner=True))
         stage = bench.open()
@@ -68,11 +63,6 @@ class TestS1Banner:
         bench = grbl_bench(faults=GrblFaults(mute=True), reply_s=0.1)
         with pytest.raises(DeviceError, match="nothing at"):
             bench.open()
-
-    def test_one_still_booting_when_asked_is_met_by_its_banner(self, grbl_bench):
-        booting = GrblParameters(boot_s=1.5, homing_s=0.0)
-        bench = grbl_bench(booting, clock=MonotonicClock(), boot_s=0.0, **(REAL_TIME | {"reply_s": SOON_S}))
-        bench.open(known=False).home()
 
 
 def test_s2_a_dump_of_settings_before_the_banner_is_no_answer(grbl_bench):
@@ -117,10 +107,6 @@ class TestS4Replies:
         # The next line went out only after a reset, whose banner divides old answers from new.
         assert bench.received[before:].index(b"\x18") < bench.received[before:].index(b"$J")
 
-    def test_a_doubled_ok_is_not_taken_for_the_end_of_a_move(self, grbl_bench):
-        bench = grbl_bench(faults=GrblFaults(double_ok=True))
-        goes_and_comes_back(bench, bench.open())
-
     def test_a_doubled_ok_is_not_the_answer_to_the_next_line(self, grbl_bench):
         bench = grbl_bench(faults=GrblFaults(double_ok=True))
         link = bench.open()._link
@@ -151,12 +137,6 @@ class TestS8SilenceAfterAnAlarm:
         bench.wait(lambda: stage._link.alarm is not None)
         return bench, stage
 
-    def test_the_alarm_is_named(self, silent):
-        _, stage = silent
-        with pytest.raises(DeviceError, match="ALARM:2"):
-            stage.position_m()
-        is_lost(stage)
-
     def test_it_comes_back_by_unlock_and_home_alone(self, silent):
         bench, stage = silent
         with pytest.raises(DeviceError):
@@ -173,13 +153,6 @@ class TestS8SilenceAfterAnAlarm:
         with refused("position-lost", DeviceError):
             stage.stop()
         is_lost(stage)
-
-    def test_it_can_be_opened_anew(self, silent):
-        bench, stage = silent
-        stage._link.close()
-        again = bench.open(known=False)
-        again.home()
-        assert again.position_m() == pytest.approx((-0.001, 0.001, 0.001))
 
 
 @pytest.mark.parametrize("lock", [1, 0])
@@ -351,22 +324,6 @@ class TestS14Unhomed:
             stage.move_to((-0.049, 0.050, 0.050), 0.01)
         assert b"$J" not in bench.received
 
-    def test_it_is_moved_where_the_spec_allows_it(self, grbl_bench):
-        bench = grbl_bench(GrblParameters(firmware="grblHAL", homed=True), require_homed=False)
-        stage = bench.open()
-        with bench.terminal.lock:
-            bench.firmware.homed = False
-        goes_and_comes_back(bench, stage)
-
-    def test_the_host_s_limits_hold_where_the_firmware_s_do_not(self, grbl_bench):
-        bench = grbl_bench(GrblParameters(firmware="grblHAL", homed=True), require_homed=False)
-        stage = bench.open()
-        with bench.terminal.lock:
-            bench.firmware.homed = False
-        with pytest.raises(ValueError, match="travel"):
-            stage.move_to((0.500, 0.050, 0.050), 0.01)
-        assert bench.place_mm == pytest.approx((-50.0, -50.0, -50.0))
-
 
 class TestS16Jumps:
     @pytest.mark.parametrize("jump", [(0.0, 0.5, 0.0), (30.0, 0.0, 0.0), (-40.0, 0.0, 0.0)])
@@ -388,16 +345,6 @@ class TestS16Jumps:
             bench.firmware._axes.shift((0.0, 0.0, -0.1))
         with pytest.raises(DeviceError, match="stood at"):
             stage.position_m()
-        is_lost(stage)
-
-    def test_a_stop_that_finds_a_jump_says_so(self, grbl_bench):
-        bench = grbl_bench()
-        stage = bench.open()
-        bench.spoil(GrblFaults(jump_after_mm=2.0, jump_mm=(0.0, 0.5, 0.0)))
-        bench.move_to_speed(stage, AWAY, 0.01, after_mm=2.5)
-        with pytest.raises(DeviceError, match="lost steps"):
-            stage.stop()
-        assert bench.speed_mm_s == 0.0
         is_lost(stage)
 
 

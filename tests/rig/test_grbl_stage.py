@@ -69,17 +69,6 @@ def test_one_wrong_digit_counts_only_when_a_second_report_confirms_it(grbl_bench
     assert bench.firmware.wire.reports > 22
 
 
-def test_a_wrong_digit_in_every_report_is_a_lost_position(grbl_bench):
-    bench = grbl_bench()
-    stage = bench.open()
-    bench.spoil(GrblFaults(wrong_digit_every=1))
-    with pytest.raises(DeviceError):
-        stage.position_m()
-    bench.spoil(GrblFaults())
-    with pytest.raises(DeviceError):
-        stage.position_m()
-
-
 def test_it_goes_where_it_is_sent(grbl_bench, model):
     bench = grbl_bench(model)
     stage = bench.open()
@@ -90,14 +79,6 @@ def test_it_goes_where_it_is_sent(grbl_bench, model):
         bench.arrive(stage)
         assert stage.position_m() == pytest.approx(target, abs=1e-6)  # what a report resolves
         assert metres(bench.place_mm) == pytest.approx(target, abs=1e-7)  # what a line resolves
-
-
-def test_each_sensor_axis_drives_its_machine_axis(grbl_bench):
-    bench = grbl_bench(axes=("-Z", "+X", "-Y"))
-    stage = bench.open()
-    stage.move_to((0.051, -0.048, 0.053), 0.01)
-    bench.arrive(stage)
-    assert bench.place_mm == pytest.approx((-48.0, -53.0, -51.0))
 
 
 def test_a_stop_ends_within_the_overshoot_bound_at_a_known_place(grbl_bench, model):
@@ -118,30 +99,6 @@ def test_a_stop_ends_within_the_overshoot_bound_at_a_known_place(grbl_bench, mod
     assert metres(bench.place_mm) == pytest.approx(START, abs=1e-7)
 
 
-@pytest.mark.parametrize("key", ["Grbl", "Grbl, jogs held", "grblHAL"])
-def test_a_stop_cancels_a_jog_and_resets_nothing(grbl_bench, key):
-    bench = grbl_bench(MODELS[key])
-    stage = bench.open()
-    bench.move_to_speed(stage, (-0.030, 0.050, 0.050), 0.010)
-    stage.stop()
-    assert b"\x85" in bench.received
-    assert b"!" not in bench.received
-    assert b"\x18" not in bench.received
-    assert stage.position_m() == pytest.approx(metres(bench.place_mm), abs=1e-6)  # kept, and no alarm
-
-
-def test_a_hold_that_meets_a_stage_just_arrived_is_not_left_behind(grbl_bench):
-    bench = grbl_bench(GrblParameters(homed=True, latency_s=0.01))
-    stage = bench.open()
-    stage.move_to((-0.0495, 0.050, 0.050), 0.01)
-    bench.wait(lambda: bench.firmware.state == "Idle")
-    stage.stop()
-    bench.clock.sleep(1.0)
-    stage.move_to(START, 0.01)
-    bench.arrive(stage)
-    assert metres(bench.place_mm) == pytest.approx(START, abs=1e-7)
-
-
 def test_a_stop_where_it_stands_does_nothing(grbl_bench):
     bench = grbl_bench()
     stage = bench.open()
@@ -150,18 +107,6 @@ def test_a_stop_where_it_stands_does_nothing(grbl_bench):
     stage.stop()
     assert bench.received == before
     assert stage.position_m() == pytest.approx(START)
-
-
-def test_a_stop_from_another_thread_ends_a_move(grbl_bench):
-    bench = grbl_bench()
-    stage = bench.open()
-    bench.move_to_speed(stage, (-0.030, 0.050, 0.050), 0.010)
-    stopper = threading.Thread(target=stage.stop)
-    stopper.start()
-    bench.arrive(stage)
-    stopper.join()
-    assert bench.speed_mm_s == 0.0
-    assert math.dist(bench.place_mm, (-30.0, -50.0, -50.0)) > 1.0
 
 
 def test_stops_from_many_threads_are_one_stop(grbl_bench):
@@ -400,21 +345,6 @@ class TestHoming:
         with pytest.raises(DeviceError, match=r"\$22=0"):
             stage.move_to((0.001, 0.0, 0.0), 0.01)
 
-    def test_an_unhomed_stage_moves_on_the_caller_s_word(self, grbl_bench):
-        bench = grbl_bench(
-            GrblParameters(settings={22: 0, 20: 0}),
-            require_homed=False,
-            least_m=(-0.01, -0.01, 0.0),
-            greatest_m=(0.01, 0.01, 0.02),
-        )
-        stage = bench.open(known=False)
-        stage.reference((0.002, -0.003, 0.0))
-        assert stage.position_m() == pytest.approx((0.002, -0.003, 0.0))
-        stage.move_to((0.004, -0.003, 0.001), 0.01)
-        bench.arrive(stage)
-        # x to the right by 2 mm and 1 mm into the skin, which is machine Z down.
-        assert bench.place_mm == pytest.approx((-48.0, -50.0, -51.0))
-
     @pytest.mark.parametrize("bad", [(math.nan, 0.0, 0.0), (0.0, math.inf, 0.0)])
     def test_no_place_is_taken_that_is_none(self, grbl_bench, bad):
         with pytest.raises(RangeError):
@@ -458,13 +388,6 @@ class TestPorts:
         monkeypatch.setitem(sys.modules, "serial", None)
         with pytest.raises(MissingExtraError, match=r"palpate\[rig\]"):
             GrblStage.open(GrblSpec("/dev/null"))
-
-    def test_closing_again_does_nothing(self, grbl_bench):
-        stage = grbl_bench().open()
-        stage.close()
-        stage.close()
-        with pytest.raises(DeviceError, match="closed"):
-            stage.position_m()
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 
 import pytest
 from tests.fakes.grbl_controller import CANCEL, DOOR, HOLD, RESET
@@ -261,17 +260,6 @@ class TestStates:
         bench.arrive(stage)
 
     @pytest.mark.parametrize("state", ["Hold", "Check", "Sleep"])
-    def test_closing_in_a_state_that_stands_says_nothing_of_power(self, grbl_bench, model, state):
-        if state == "Sleep" and model.firmware == "grblHAL":
-            pytest.skip("a default build of grblHAL has no $SLP")
-        bench = grbl_bench(model)
-        stage = bench.open()
-        STANDING[state](bench)
-        bench.wait(lambda: bench.firmware.state.startswith(state))
-        stage.close()
-        assert bench.speed_mm_s == 0.0
-
-    @pytest.mark.parametrize("state", ["Hold", "Check", "Sleep"])
     def test_unlock_clears_what_a_reset_clears(self, grbl_bench, model, state):
         if state == "Sleep" and model.firmware == "grblHAL":
             pytest.skip("a default build of grblHAL has no $SLP")
@@ -345,54 +333,3 @@ class TestStates:
             assert all(places_differ_mm(at, bench.place_mm) == 0.0 for at in bench.stops(RESET)[before:])
             stage.move_to(START, 0.02)
             bench.arrive(stage)
-
-
-class TestTheFakesTwoFirmwares:
-    """What they do apart, asked of the fake without the driver."""
-
-    def jogging(self, grbl_bench, name, **changes):
-        bench = grbl_bench(replace(FIRMWARES[name], latency_s=0.0, **changes))
-        bench.say(b"$J=G21G90G53X-40F600\n")
-        bench.wait(lambda: bench.speed_mm_s >= 9.99, 0.01)
-        return bench
-
-    def state_after(self, bench, data: bytes, seconds: float = 5.0) -> tuple[str, float]:
-        bench.say(data)
-        state = bench.firmware.state
-        end_ns = bench.clock.now_ns() + seconds * NS_PER_S
-        bench.wait(lambda: bench.clock.now_ns() >= end_ns)
-        return state, bench.place_mm[0]
-
-    def test_a_hold_ends_a_jog_on_one_and_is_ignored_on_the_other(self, grbl_bench):
-        _, x_mm = self.state_after(self.jogging(grbl_bench, "Grbl 1.1h"), b"!")
-        assert x_mm < -40.5
-        state, x_mm = self.state_after(self.jogging(grbl_bench, "grblHAL"), b"!")
-        assert state == "Run"
-        assert x_mm == pytest.approx(-40.0)
-
-    @pytest.mark.parametrize("name", ["Grbl 1.1h", "grblHAL"])
-    def test_a_jog_cancel_ends_a_jog_on_both(self, grbl_bench, name):
-        bench = self.jogging(grbl_bench, name)
-        assert self.state_after(bench, b"\x85")[1] < -40.5
-        assert bench.firmware.state == "Idle"
-
-    @pytest.mark.parametrize("order", [b"\x85!", b"!\x85"])
-    def test_on_grblhal_the_cancel_must_come_first(self, grbl_bench, order):
-        _, x_mm = self.state_after(self.jogging(grbl_bench, "grblHAL"), order)
-        assert (x_mm < -40.5) == order.startswith(b"\x85")
-
-    @pytest.mark.parametrize("name", ["Grbl 1.1h", "grblHAL"])
-    @pytest.mark.parametrize(("line", "state"), [(b"$SLP\n", "Sleep"), (b"$C\n", "Check")])
-    def test_from_sleep_and_check_only_a_reset_leads_back(self, grbl_bench, name, line, state):
-        bench = grbl_bench(FIRMWARES[name])
-        if (name, state) == ("grblHAL", "Sleep"):
-            pytest.skip("a default build of grblHAL has no $SLP")
-        bench.say(line)
-        for nothing in (b"~", b"!", b"\x85", b"$J=G21G91X1F600\n"):
-            bench.say(nothing)
-            bench.clock.sleep(0.2)
-            bench.terminal.catch_up()
-            assert bench.firmware.state == state
-        assert bench.place_mm[0] == pytest.approx(-50.0)
-        bench.say(b"\x18")
-        assert bench.firmware.state == ("Alarm" if state == "Sleep" else "Idle")

@@ -15,14 +15,7 @@ from palpate.core import NS_PER_S, DeviceError, Position, Wrench
 from palpate.core.errors import RangeError
 from palpate.devices.motion_limits import Reason, Tripped
 from palpate.rig.commissioning.first_touch import touch_twice
-from palpate.rig.commissioning.hand_motion import (
-    Hand,
-    await_push,
-    jog,
-    lift_clear,
-    touch_off,
-    zero,
-)
+from palpate.rig.commissioning.hand_motion import Hand, await_push, jog, lift_clear, touch_off, zero
 from palpate.rig.commissioning.homing import home_clear
 from palpate.rig.rig import Rig
 from palpate.rig.rig_check import check_rig

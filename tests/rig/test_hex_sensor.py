@@ -111,10 +111,6 @@ class TestSamples:
         assert times == sorted(set(times))
         assert times[-1] == 2 * 10**9 + 5_000_000
 
-    def test_torques_come_in_thousandths_of_a_newton_metre(self):
-        data = sample_of(0.0, 0.0, 0.0, 25.0) * (TRIED + 2)
-        assert frames().take(data, 1)[0].torque_nm == pytest.approx((1e-3, 2e-3, 3e-3))
-
     @pytest.mark.parametrize(("fz", "fault"), [(math.nan, "not-a-number"), (-50.1, "force-range")])
     def test_what_is_no_force_is_a_fault_and_no_number(self, fz, fault):
         stream = frames()

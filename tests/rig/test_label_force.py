@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from tests.refusals import refused
-from tests.rig.rigs import plan, rig
+from tests.rig.rigs import near, quick
 
 from palpate.core import DeviceError, Wrench
 from palpate.devices import Mounting, Reason, Tripped
@@ -15,6 +15,7 @@ from palpate.rig import State, record
 from palpate.rig.label_force import LABEL_FORCE
 from palpate.rig.rig_check import check_rig
 
+SMALL = quick(frames=2)
 PRELOAD_N = 3.0  # of the specimen on the scale, which the tare takes off
 
 
@@ -51,14 +52,14 @@ class SlowScale:
 
 
 def with_scale(**kwargs):
-    fast = rig()
+    fast = near()
     scale = SlowScale(fast, **kwargs)
     return replace(fast, label_force=scale, label_mounting=Mounting(("x", "y", "-z"))), scale
 
 
 def test_frames_at_a_stand_carry_what_the_scale_measured_since_it_began(tmp_path: Path) -> None:
     bench, scale = with_scale()
-    outcome = record(bench, plan(), tmp_path / "run")
+    outcome = record(bench, SMALL, tmp_path / "run")
     assert outcome.state is State.DONE, outcome.message
     labels = Run.open(tmp_path / "run").labels
     assert labels["true_force_N"].max() > 0.2  # there is something to weigh
@@ -72,15 +73,15 @@ def test_without_its_delay_taken_off_the_labels_would_be_wrong(tmp_path: Path) -
     bench, scale = with_scale()
     honest = scale._sample
     scale._sample = lambda arrives_ns: replace(honest(arrives_ns), time_ns=arrives_ns)
-    assert record(bench, plan(), tmp_path / "run").state is State.DONE
+    assert record(bench, SMALL, tmp_path / "run").state is State.DONE
     labels = Run.open(tmp_path / "run").labels
     assert (labels[LABEL_FORCE] - labels["true_force_N"]).abs().max() > 0.05
 
 
 def test_a_scale_that_goes_ends_the_run_by_name_with_the_probe_lifted(tmp_path: Path) -> None:
     bench, scale = with_scale()
-    scale.gone_after_s = 8.0
-    outcome = record(bench, plan(), tmp_path / "run")
+    scale.gone_after_s = 5.0
+    outcome = record(bench, SMALL, tmp_path / "run")
     assert (outcome.state, outcome.reason) == (State.FAILED, Reason.FORCE_SENSOR)
     assert "failed: unplugged" in outcome.message
     assert bench.stage.position_m()[2] < bench.origin_m[2]
@@ -89,7 +90,7 @@ def test_a_scale_that_goes_ends_the_run_by_name_with_the_probe_lifted(tmp_path: 
 def test_a_scale_that_prints_too_seldom_ends_the_run_by_name(tmp_path: Path) -> None:
     bench, scale = with_scale(delay_s=0.1)
     scale.drain = list
-    outcome = record(bench, plan(), tmp_path / "run")
+    outcome = record(bench, SMALL, tmp_path / "run")
     assert (outcome.state, outcome.reason) == (State.FAILED, Reason.FORCE_STALE)
     assert "measured 0" in outcome.message
 
@@ -98,7 +99,7 @@ def test_a_slow_sensor_is_refused_as_the_guard_before_anything_is_written(tmp_pa
     bench, scale = with_scale()
     alone = replace(bench, force=scale, label_force=None)
     with refused("force-stale", Tripped):
-        record(alone, plan(), tmp_path / "run")
+        record(alone, SMALL, tmp_path / "run")
     assert not (tmp_path / "run").exists()
 
 

@@ -26,7 +26,7 @@ from palpate.core import (
 )
 from palpate.devices.check import check_stage
 from palpate.rig.real.marlin import MarlinSpec, MarlinStage
-from palpate.rig.real.marlin.marlin_lines import MarlinMachine, StepReport, numbered, read_line
+from palpate.rig.real.marlin.marlin_lines import MarlinMachine, numbered, read_line
 from palpate.rig.rig_file import RigFile
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="a pseudo-terminal needs POSIX")
@@ -218,17 +218,6 @@ def test_a_false_word_on_how_fast_it_may_stop_dead_loses_the_place_unseen(bench)
     assert abs(one.gone_mm[0] - stage.position_m()[0] * 1e3) > 1.0
 
 
-def test_a_stop_from_another_thread_ends_a_move(bench) -> None:
-    one = bench()
-    stage = one.open()
-    one.to_speed(stage, (0.03, 0.0, 0.0))
-    stopper = threading.Thread(target=stage.stop)
-    stopper.start()
-    one.wait(lambda: not stopper.is_alive())
-    assert one.speed_mm_s == 0.0
-    assert one.gone_mm[0] < 29.0
-
-
 def test_a_stop_at_a_stand_sends_nothing(bench) -> None:
     one = bench()
     stage = one.open()
@@ -393,13 +382,6 @@ def test_a_stage_that_runs_to_its_target_after_the_stop_is_no_stop(bench) -> Non
 def test_what_is_no_marlin_is_refused(bench) -> None:
     with refused("not-marlin", DeviceError):
         bench(faults=MarlinFaults(mute=True), reply_s=0.05).open()
-
-
-def test_a_place_is_read_only_whole() -> None:
-    whole = b"X:1.00 Y:2.00 Z:3.00 E:0.00 Count X:80 Y:160 Z:1200"
-    assert read_line(whole) == StepReport((1.0, 2.0, 3.0), (80, 160, 1200), 0.0)
-    for cut in range(1, whole.index(b"Z:1200") + 2):
-        assert not isinstance(read_line(whole[:cut]), StepReport)
 
 
 @pytest.mark.slow

@@ -22,10 +22,7 @@ def page(**fields: str) -> bytes:
 def test_a_page_says_counts_units_range_rate_and_what_the_box_subtracts() -> None:
     found = calibration(
         page(
-            cfgcalsn="FT12345",
-            cfgmr="330;330;990;30;30;30",
-            comrdtrate="7000",
-            setbias="745;17;0;184;-596;0",
+            cfgcalsn="FT12345", cfgmr="330;330;990;30;30;30", comrdtrate="7000", setbias="745;17;0;184;-596;0"
         )
     )
     assert (found.product, found.serial) == ("Net F/T", "FT12345")

@@ -130,13 +130,6 @@ def test_a_rig_file_that_names_one_port_twice_is_refused(tmp_path: Path) -> None
         assert not lab.jogged
 
 
-@pytest.mark.slow
-def test_a_port_that_is_given_back_can_be_opened_again_at_once(tmp_path: Path) -> None:
-    with lab_file(tmp_path) as lab:
-        for _ in range(3):
-            open_rig(lab.write()).close()
-
-
 HOLDER = """
 import signal, sys, time
 from palpate.rig.real.device_hold import hold_device, port_named

@@ -11,16 +11,7 @@ from tests.refusals import refused
 
 from palpate.core.errors import InputError
 from palpate.core.sensor import for_rig, sensor
-from palpate.rig.plans import (
-    PLANS,
-    Grid,
-    Scattered,
-    StepHold,
-    plan_from,
-    plan_of,
-    plan_of_sensor,
-    size_of,
-)
+from palpate.rig.plans import PLANS, Grid, Scattered, StepHold, plan_from, plan_of, plan_of_sensor, size_of
 from palpate.rig.plans.plan_kinds import Dwell, Lateral
 from palpate.rig.plans.recording_plan import Aside, Burst, Depth, Over, Seek, Step, TareStep
 
@@ -57,10 +48,7 @@ def test_a_press_tares_in_the_air_finds_contact_and_then_goes_down_step_by_step(
     assert [step.depth_m for step in steps if isinstance(step, Depth)] == pytest.approx([1e-4, 2e-4, 3e-4])
 
 
-@given(
-    done=st.lists(st.tuples(st.integers(0, 5), st.integers(0, 2)), max_size=20),
-    unloading=st.booleans(),
-)
+@given(done=st.lists(st.tuples(st.integers(0, 5), st.integers(0, 2)), max_size=20), unloading=st.booleans())
 def test_a_resumed_press_records_what_is_missing_and_nothing_else(
     done: list[tuple[int, int]], unloading: bool
 ) -> None:

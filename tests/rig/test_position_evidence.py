@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -108,15 +107,6 @@ def test_a_carriage_pushed_at_rest_with_released_motors_is_refused(grbl) -> None
     left(bench)
     assert bench.firmware.push((0.0, 0.0, -3.0)), "the motors are released"
     assert refused(bench.open(known=False)) == "motors-released"
-
-
-def test_a_carriage_cannot_be_pushed_while_the_motors_hold(grbl) -> None:
-    bench = grbl()
-    left(bench)
-    assert not bench.firmware.push((0.0, 0.0, -3.0))
-    stage = bench.open(known=False)
-    stage.recall()
-    assert stage.position_m()[2] == pytest.approx(-1e-3 * bench.place_mm[2], abs=TOLERANCE_M)
 
 
 def test_counts_of_zero_after_a_power_cut_are_not_the_stored_zero(grbl) -> None:
@@ -268,16 +258,6 @@ def test_a_disk_that_refuses_stores_nothing_and_stops_no_motion(grbl, monkeypatc
     bench = grbl()
     left(bench)
     assert refused(bench.open(known=False)) == "no-record"
-
-
-def test_the_store_keeps_one_file_and_it_is_plain(tmp_path) -> None:
-    store = PositionStore("/dev/some", tmp_path)
-    store.establish(47001, "s", (0.0, 0.0, 0.0), (1.0, 2.0, 3.0))
-    store.move((1.0, 2.0, 3.0), (1.0, 2.0, 4.0))
-    (path,) = tmp_path.iterdir()
-    assert json.loads(path.read_text())["end_mm"] == [1.0, 2.0, 4.0]
-    store.forget()
-    assert not list(tmp_path.iterdir())
 
 
 def test_the_code_survives_the_way_from_the_supervisor() -> None:

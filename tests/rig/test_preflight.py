@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from tests.fakes.netft_box import FakePage
 from tests.refusals import refused
-from tests.rig.lab_files import SOURCES, LabFile, lab_file, palpate
+from tests.rig.lab_files import SOURCES, LabFile, lab_file
 from tests.rig.test_rig_setup import LABS
 from tests.slow_params import mostly_slow
 
@@ -186,17 +186,6 @@ def test_a_box_of_a_slow_rate_is_refused_for_its_limits(tmp_path: Path) -> None:
             check_ready(rig)
 
 
-@pytest.mark.slow
-def test_palpate_record_names_an_unplugged_load_and_ends_with_an_error(tmp_path: Path) -> None:
-    with lab_file(tmp_path) as lab:
-        lab.box.counts = RAIL
-        done = palpate("record", "--rig", lab.write(), "--plan", "layer", "--out", str(tmp_path / "run"))
-        assert not lab.jogged
-    assert done.returncode == 2
-    assert "cell plugged" in done.stderr
-    assert not (tmp_path / "run").exists()
-
-
 def test_the_computers_sleep_trips_once_and_steps_of_no_other_clock_do() -> None:
     slept = iter([100.0, 100.001, 130.0, 130.0, 130.0])
     watch = SleepWatch(lambda: next(slept))
@@ -208,12 +197,6 @@ def test_the_computers_sleep_trips_once_and_steps_of_no_other_clock_do() -> None
     watch.look()
     silent = SleepWatch(lambda: None)
     silent.look()
-
-
-def test_the_systems_own_clocks_do_not_trip_a_watch_that_nobody_suspended() -> None:
-    watch = SleepWatch()
-    for _ in range(100):
-        watch.look()
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.rig.rigs import CLEARANCE_MM, CLOCK_NS, keys, plan, rig, wanted
+from tests.rig.rigs import CLEARANCE_MM, CLOCK_NS, keys, near, plan, wanted
 
 from palpate.core import NS_PER_S, ManualClock, RangeError, Wrench
 from palpate.core.errors import DeviceError, InputError
@@ -20,7 +20,7 @@ from palpate.rig.run_progress import fields_of
 from palpate.rig.skin_stiffness import stiffness_of
 
 PLACE = Listed(kind="listed", at_mm=((0.0, 0.0),))
-SMALL = plan(cycles=1, depth_mm=0.8, places=PLACE)
+SMALL = plan(cycles=1, depth_mm=0.8, places=PLACE, frames=1)
 DEEP_M = 0.3e-3  # of the stage, below the surface: in the first move after contact
 ALLOWED_S = 0.04  # age of a sample at 2 mm/s: 0.08 mm over the speed
 
@@ -101,7 +101,7 @@ def recorded(
     of: Any = SMALL,
 ) -> tuple[Any, Flaky]:
     """Record a plan on a rig whose device fails for a while."""
-    sound = rig()
+    sound = near()
     flaky = Flaky(getattr(sound, device), sound.stage, how, seconds, times, offset_n)
     faulty = replace(sound, **{device: flaky}, retries=limits or RetryLimits())
     return record(faulty, of, out), flaky
@@ -140,22 +140,12 @@ def test_a_press_with_a_transient_fault_is_repeated_and_its_first_attempt_void(
         stiffness_of(run)  # of presses without a fault alone
 
 
-def test_without_retries_one_late_sample_ends_the_run_and_the_next_command_completes_it(
-    tmp_path: Path,
-) -> None:
-    out = tmp_path / "run"
-    outcome, _ = recorded(out, "late", 0.042, limits=RetryLimits(per_press=0))
-    assert (outcome.state, outcome.reason, outcome.retries) == (State.FAILED, Reason.FORCE_LATE, 0)
-    assert record(rig(clock=ManualClock(3 * CLOCK_NS)), SMALL, out).state is State.DONE
-    assert sorted(keys(Run.open(out))) == sorted(wanted(SMALL))
-
-
 @pytest.mark.parametrize(
     ("limits", "attempts"),
-    [(RetryLimits(2, 20, 0.1), 3), (RetryLimits(5, 1, 0.1), 2)],
-    ids=["per press", "per session"],
+    [(RetryLimits(0, 20, 0.1), 1), (RetryLimits(2, 20, 0.1), 3), (RetryLimits(5, 1, 0.1), 2)],
+    ids=["none", "per press", "per session"],
 )
-@pytest.mark.cases(1)
+@pytest.mark.cases(2)
 def test_retries_end_at_their_limits_with_the_fault_s_code(
     tmp_path: Path, limits: RetryLimits, attempts: int
 ) -> None:
@@ -165,7 +155,7 @@ def test_retries_end_at_their_limits_with_the_fault_s_code(
     events = fields_of(Run.open(out), REJECTED)
     assert [event["retried"] for event in events] == [True] * (attempts - 1) + [False]
     assert outcome.retries == attempts - 1
-    assert record(rig(clock=ManualClock(3 * CLOCK_NS)), SMALL, out).state is State.DONE
+    assert record(near(clock=ManualClock(3 * CLOCK_NS)), SMALL, out).state is State.DONE
     assert sorted(keys(Run.open(out))) == sorted(wanted(SMALL))
 
 

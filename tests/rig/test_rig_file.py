@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +19,6 @@ from palpate.core.errors import DeviceError, InputError
 from palpate.core.provenance import Provenance
 from palpate.devices.motion_limits import Reason
 from palpate.devices.rpc import path_of
-from palpate.devices.supervisor.guard_messages import encode_message
 from palpate.rig import State, open_rig, record
 from palpate.rig.engine import manifest_of
 from palpate.rig.rig_file import GrblPart, opened_rig, read_rig
@@ -306,31 +303,3 @@ class SmallForce:
 
     def close(self) -> None:
         pass
-
-
-@pytest.mark.slow
-def test_a_client_that_goes_at_a_refusal_leaves_no_traceback(tmp_path: Path) -> None:
-    fields = read_rig_fields(tmp_path)
-    for _ in range(3):
-        process = subprocess.Popen(
-            [sys.executable, *opened_rig.SUPERVISOR],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-        )
-        assert process.stdin is not None
-        assert process.stdout is not None
-        assert process.stderr is not None
-        process.stdin.write(encode_message({"rig": fields, "name": str(tmp_path)}))
-        process.stdin.flush()
-        assert b'"ok"' in process.stdout.readline()
-        process.stdin.close()
-        process.wait(20)
-        with process.stdout, process.stderr:
-            assert b"Traceback" not in process.stderr.read()
-
-
-def read_rig_fields(folder: Path) -> dict[str, Any]:
-    path = folder / "rig.toml"
-    path.write_text(REAL.format(rdt=1, http=1))
-    return read_rig(path).model_dump(mode="json")

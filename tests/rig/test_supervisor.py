@@ -26,8 +26,7 @@ from palpate.devices.motion_guard import Clearance
 from palpate.devices.rpc import supervisor_name
 from palpate.devices.rpc_client import RpcClient
 from palpate.devices.supervisor import SupervisedGuard, guard_supervisor, process_link
-from palpate.recordings import Run
-from palpate.rig import State, open_rig, record
+from palpate.rig import open_rig
 from palpate.rig.commissioning.bench import stop_rig
 from palpate.rig.plans import Listed, StepHold
 from palpate.rig.rig import Rig
@@ -115,32 +114,14 @@ def wait_for(holds: Callable[[], object], seconds: float = 20.0) -> None:
         time.sleep(0.02)
 
 
-@pytest.mark.slow
-def test_a_plan_is_recorded_under_a_supervisor_frame_for_frame(supervised, tmp_path: Path) -> None:
-    bench = supervised()
-    rig = open_rig(str(bench.path))
-    assert rig.supervisor is not None
-    assert rig.supervisor.pid != os.getpid()
-    try:
-        outcome = record(rig, PLAN, tmp_path / "run")
-    finally:
-        rig.close()
-    assert outcome.state is State.DONE, outcome.message
-    run = Run.open(tmp_path / "run")
-    assert len(run) == sum(frames for press in PLAN.presses() for _, frames in PLAN.shots(press))
-    deep = run.labels[run.labels["depth_mm"] > 0.9]
-    assert deep["force_N"].to_numpy() == pytest.approx(2.0 * deep["depth_mm"].to_numpy() + 0.1, abs=0.15)
-    assert bench.z_m() <= FREE_M + 1e-5
-
-
-def test_force_and_way_reach_who_subscribed_and_a_force_reached_ends_the_move(supervised) -> None:
+def test_who_subscribed_is_told_and_a_force_reached_its_limit_and_an_exception_end_a_move(supervised) -> None:
     with opened(supervised()) as rig:
         guard = guarded(rig)
         samples: list[int] = []
         places: list[float] = []
         guard.samples.subscribe(lambda batch: samples.extend(one.time_ns for one in batch))
         guard.positions.subscribe(lambda at, time_ns: places.append(at[2]))
-        assert guard.towards((0.0, 0.0, 3 * MM), 2 * MM, ForceReached(2.0))
+        assert guard.towards((0.0, 0.0, 3 * MM), 5 * MM, ForceReached(2.0))
         assert guard.position_m()[2] == pytest.approx(1.0 * MM, abs=0.1 * MM)
         assert samples == sorted(set(samples)), "in order, and none twice"
         gaps_ms = [(b - a) / 1e6 for a, b in pairwise(samples)]
@@ -148,32 +129,19 @@ def test_force_and_way_reach_who_subscribed_and_a_force_reached_ends_the_move(su
         assert len(places) > 20
         guard.lift()
         assert guard.position_m()[2] == pytest.approx(FREE_M)
-
-
-def test_the_limit_of_force_is_the_supervisors_and_has_its_name_here(supervised) -> None:
-    with opened(supervised()) as rig:
-        guard = guarded(rig)
         with refused("force-limit", Tripped, match="6 N") as tripped:
-            guard.towards((0.0, 0.0, 4 * MM), 2 * MM, step_m=4 * MM)
+            guard.towards((0.0, 0.0, 4 * MM), 5 * MM, step_m=4 * MM)
         assert tripped.value.reason is Reason.FORCE_LIMIT
         guard.lift()
 
-
-def test_an_exception_of_who_watches_halts_the_motion(supervised) -> None:
-    target = (0.0, 0.0, 2 * MM)
-    with opened(supervised()) as rig:
-        guard = guarded(rig)
-        way_m: list[float] = []
-
         def full(*seen: object) -> None:
-            if way_m and way_m[-1] > FREE_M:
+            if places[-1] > -0.5 * MM:
                 raise OSError("no space left")
 
-        guard.positions.subscribe(lambda at, time_ns: way_m.append(at[2]))
         guard.looks.subscribe(full)
         with pytest.raises(OSError, match="no space"):
-            guard.towards(target, 1 * MM, step_m=5 * MM)
-        assert FREE_M < guard.position_m()[2] < target[2], "under way, where nothing else ends a motion"
+            guard.towards((0.0, 0.0, 2 * MM), 2 * MM, step_m=5 * MM)
+        assert FREE_M < guard.position_m()[2] < 2 * MM, "under way, where nothing else ends a motion"
         guard.looks.unsubscribe(full)
         guard.lift()
 
@@ -249,15 +217,6 @@ def test_a_client_that_is_killed_leaves_no_probe_in_the_skin(supervised, then: s
 
 
 @pytest.mark.slow
-def test_a_client_that_is_killed_while_a_stage_homes_ends_that_as_well(supervised) -> None:
-    bench = supervised(stage="opens_s = 60.0")
-    with subprocess.Popen([sys.executable, "-c", code_of(""), str(bench.path)], cwd=REPOSITORY) as client:
-        wait_for(lambda: bench.noted("opens"))
-        client.kill()
-        wait_for(lambda: bench.noted("abandoned"))
-
-
-@pytest.mark.slow
 def test_a_client_that_stops_saying_anything_in_the_skin_is_not_waited_for(supervised, monkeypatch) -> None:
     bench = supervised()
     with child(bench, "time.sleep(60)") as client:
@@ -281,14 +240,30 @@ def test_a_supervisor_that_dies_is_told_at_once_and_by_name(supervised) -> None:
         assert time.monotonic() - begun_s < 2.0
 
 
-@pytest.mark.slow
-def test_a_supervisor_that_hangs_is_told_once_within_seconds_and_then_at_once(supervised) -> None:
-    rig = open_rig(str(supervised().path))
+@contextmanager
+def hanging(bench: Supervised):
+    """A rig whose supervisor hangs, and a guard that was taught before."""
+    rig = open_rig(str(bench.path))
     assert rig.supervisor is not None
     control = OperatorControl()
     guard = guarded(rig, control)
     os.kill(rig.supervisor.pid, signal.SIGSTOP)
     try:
+        yield rig, guard, control
+    finally:
+        os.kill(rig.supervisor.pid, signal.SIGCONT)
+        gone = Path(f"/proc/{rig.supervisor.pid}")
+        wait_for(lambda: not gone.exists() and not lingering())
+
+
+@pytest.mark.slow
+def test_a_supervisor_that_hangs_is_told_once_within_seconds_and_then_at_once(supervised) -> None:
+    bench = supervised()
+    with hanging(bench) as (rig, guard, _):
+        with pytest.raises(DeviceError) as raised:
+            stop_rig(str(bench.path))  # it opens no second stage
+        assert raised.value.code == "stop-not-confirmed"
+        assert not bench.noted("stop")
         begun_s = time.monotonic()
         with pytest.raises(Tripped, match="rig's switch") as tripped:
             guard.towards((0.0, 0.0, 1 * MM), 1 * MM)
@@ -301,8 +276,6 @@ def test_a_supervisor_that_hangs_is_told_once_within_seconds_and_then_at_once(su
             rig.close()
         assert time.monotonic() - begun_s < first_s + 5.0, "after the first silence nothing is waited for"
         assert first_s < 15.0
-    finally:
-        awake(rig.supervisor.pid)
 
 
 @pytest.mark.slow
@@ -317,12 +290,7 @@ def test_a_supervisor_whose_device_is_slow_is_not_taken_for_one_that_hangs(super
 @pytest.mark.slow
 def test_an_emergency_stop_shortens_the_wait_for_a_supervisor_that_hangs(supervised, monkeypatch) -> None:
     monkeypatch.setattr(process_link, "SILENT_S", 50.0)
-    rig = open_rig(str(supervised().path))
-    assert rig.supervisor is not None
-    control = OperatorControl()
-    guard = guarded(rig, control)
-    os.kill(rig.supervisor.pid, signal.SIGSTOP)
-    try:
+    with hanging(supervised()) as (rig, guard, control):
         control.ask(OperatorCommand.ESTOP)  # the second Ctrl-C
         begun_s = time.monotonic()
         with pytest.raises(Tripped, match="rig's switch"):
@@ -330,8 +298,6 @@ def test_an_emergency_stop_shortens_the_wait_for_a_supervisor_that_hangs(supervi
         with pytest.raises(DeviceError, match="switch"):
             rig.close()
         assert time.monotonic() - begun_s < 20.0
-    finally:
-        awake(rig.supervisor.pid)
 
 
 def test_anybody_of_the_same_user_may_stop_it_past_its_client(supervised) -> None:
@@ -371,45 +337,19 @@ def test_the_stop_command_reaches_the_stage_while_the_recording_process_is_dead_
 
 
 @pytest.mark.slow
-def test_a_stop_while_a_stage_homes_ends_that_and_says_so(supervised) -> None:
+@pytest.mark.parametrize("ends", [signal.SIGKILL, signal.SIGINT, None], ids=["killed", "Ctrl-C", "rig stop"])
+def test_whatever_ends_a_client_while_a_stage_homes_ends_that_as_well(supervised, ends) -> None:
     bench = supervised(stage="opens_s = 60.0")
     with subprocess.Popen([sys.executable, "-c", code_of(""), str(bench.path)], cwd=REPOSITORY) as client:
         wait_for(lambda: bench.noted("opens"))
         bench.opens_at_once()
-        done = stop_rig(str(bench.path))
-        assert [one.code for one in done.holders] == ["opening-ended"]
-        assert done.code == "stopped-on-port"
-        assert bench.noted("abandoned")
-        assert client.wait(20) != 0
-
-
-@pytest.mark.slow
-def test_ctrl_c_while_a_stage_homes_ends_that(supervised) -> None:
-    bench = supervised(stage="opens_s = 60.0")
-    with subprocess.Popen([sys.executable, "-c", code_of(""), str(bench.path)], cwd=REPOSITORY) as client:
-        wait_for(lambda: bench.noted("opens"))
-        client.send_signal(signal.SIGINT)
+        if ends:
+            client.send_signal(ends)
+        else:
+            done = stop_rig(str(bench.path))
+            assert ([one.code for one in done.holders], done.code) == (["opening-ended"], "stopped-on-port")
         wait_for(lambda: bench.noted("abandoned"))
-        client.wait(20)
-
-
-@pytest.mark.slow
-def test_a_stop_past_a_supervisor_that_hangs_opens_no_second_stage_and_says_that_it_stopped_nothing(
-    supervised,
-) -> None:
-    bench = supervised()
-    rig = open_rig(str(bench.path))
-    assert rig.supervisor is not None
-    os.kill(rig.supervisor.pid, signal.SIGSTOP)
-    try:
-        with pytest.raises(DeviceError) as raised:
-            stop_rig(str(bench.path))
-        assert raised.value.code == "stop-not-confirmed"
-        assert not bench.noted("stop")
-        assert not bench.noted("close")
-    finally:
-        os.kill(rig.supervisor.pid, signal.SIGCONT)
-    rig.close()
+        assert client.wait(20) != 0
 
 
 @pytest.mark.slow
@@ -418,12 +358,6 @@ def test_one_rig_has_one_supervisor_and_the_next_waits_until_it_has_let_go(super
     with opened(bench), refused("already-driven", DeviceError):
         open_rig(str(bench.path))
     open_rig(str(bench.path)).close()
-
-
-def awake(pid: int) -> None:
-    """Let a process that hung go on, and wait until it has ended."""
-    os.kill(pid, signal.SIGCONT)
-    wait_for(lambda: not Path(f"/proc/{pid}").exists() and not lingering())
 
 
 def lingering() -> list[str]:

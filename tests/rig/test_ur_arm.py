@@ -34,7 +34,6 @@ from palpate.core import (
     ManualClock,
     MissingExtraError,
     MonotonicClock,
-    RangeError,
     Stage,
     Wrench,
 )
@@ -42,7 +41,7 @@ from palpate.devices import Limits, OperatorControl, Reason, Tripped
 from palpate.devices.check import check_stage
 from palpate.devices.force_bias import ForceBias
 from palpate.devices.motion_guard import ForceReached, MotionGuard
-from palpate.rig.real.ur_arm import MAX_SPEED_M_S, ArmFrame, UrArmSpec, UrArmStage
+from palpate.rig.real.ur_arm import ArmFrame, UrArmSpec, UrArmStage
 from palpate.rig.rig_check import check_rig
 from palpate.rig.virtual import virtual_rig
 
@@ -167,11 +166,8 @@ def test_into_the_skin_is_down_and_y_leads_to_the_viewer(opened) -> None:
     ("rows", "tool", "says"),
     [
         (((1, 0, 0), (0, -1, 0), (0, 0, -1.01)), TOOL, "not-orthonormal"),
-        (((1, 0, 0.02), (0, -1, 0), (0, 0, -1)), TOOL, "not-orthonormal"),
         (((1, 0, 0), (0, 1, 0), (0, 0, -1)), TOOL, "mirrored"),
         (((1, 0, 0), (0, 1, 0), (0, 0, 1)), TOOL, "tool-direction"),  # z out of the skin
-        (((1, 0, 0), (0, 0, 1), (0, -1, 0)), TOOL, "tool-direction"),
-        (DOWN, (0.0, 0.0, 0.0), "tool-direction"),
         (((math.nan, 0, 0), (0, -1, 0), (0, 0, -1)), TOOL, "not-finite"),
     ],
 )
@@ -195,50 +191,29 @@ def test_another_orientation_is_refused_before_the_arm_is_taken(bench) -> None:
     with refused("tool-orientation", DeviceError, match=r"0\.60 degrees"):
         rig.open()
     assert not rig.arm.uploads
+    bench(pose=(*POSE[:3], -math.pi, 0.0, 0.0)).open().close()  # another vector of the same orientation
 
 
-def test_two_rotation_vectors_of_one_orientation_are_the_same(bench) -> None:
-    bench(pose=(*POSE[:3], -math.pi, 0.0, 0.0)).open().close()
-
-
-def test_a_tool_within_its_tolerance_is_never_turned(opened) -> None:
-    rig, stage = opened(pose=(*POSE[:3], math.pi - math.radians(0.4), 0.0, 0.0))
-    stage.move_to(LOW, SPEED)
-    rig.arrive(stage)
-    assert rig.arm.moves
-    assert rig.arm.greatest_turn == 0.0
-
-
-def test_a_tool_that_is_turned_later_is_named(opened) -> None:
+@pytest.mark.parametrize(
+    ("pose", "code"),
+    [
+        ((*POSE[:3], math.pi, 0.05, 0.0), "tool-orientation"),
+        ((0.4, 0.16, 0.205, *TOOL), "outside-travel"),  # not sent back blindly
+    ],
+)
+def test_an_arm_that_was_led_elsewhere_is_not_moved(opened, pose, code) -> None:
     rig, stage = opened()
-    rig.arm.led_to((*POSE[:3], math.pi, 0.05, 0.0))
+    rig.arm.led_to(pose)
     rig.clock.sleep(0.01)
-    for call in (stage.moving, lambda: stage.move_to(LOW, SPEED)):
-        with refused("tool-orientation", DeviceError):
-            call()
-    assert not rig.arm.moves
-
-
-def test_an_arm_outside_its_box_is_not_sent_back_blindly(opened) -> None:
-    rig, stage = opened()
-    rig.arm.led_to((0.4, 0.16, 0.205, *TOOL))
-    rig.clock.sleep(0.01)
-    with refused("outside-travel", DeviceError, match=r"-60\.00 mm"):
+    with refused(code, DeviceError):
         stage.move_to(LOW, SPEED)
+    assert not rig.arm.moves
 
 
 # Speed and stops.
 
 
-def test_the_ceiling_of_speed_is_250_mm_s() -> None:
-    spec = UrArmSpec("arm", FRAME, **BOX, top_speed_m_s=MAX_SPEED_M_S)
-    assert spec.top_speed_m_s == 0.25
-    with pytest.raises(RangeError, match="top_speed_m_s"):
-        UrArmSpec("arm", FRAME, **BOX, top_speed_m_s=0.2501)
-
-
-@pytest.mark.parametrize("stop_m_s2", [0.5, 2.0])
-@pytest.mark.parametrize("speed", [0.002, 0.02, 0.1, 0.25])
+@pytest.mark.parametrize(("speed", "stop_m_s2"), [(0.02, 0.5), (0.25, 2.0)])
 def test_a_stop_runs_on_by_v2_over_2a_and_the_latency(opened, speed, stop_m_s2) -> None:
     rig, stage = opened(top_speed_m_s=0.25, stop_m_s2=stop_m_s2, acceleration_m_s2=2.0)
     stage.move_to((-0.05, 0.0, -0.005), 0.05)
@@ -286,9 +261,7 @@ def test_a_motion_found_under_way_is_stopped(bench) -> None:
 
 STOPS = {
     "emergency stop": ((ROBOT_EMERGENCY, EMERGENCY), POWER_OFF),
-    "protective stop": ((PROTECTIVE,), 7),
     "safeguard": ((SAFEGUARD,), 7),
-    "fault": ((9,), 7),
 }
 
 
@@ -325,18 +298,21 @@ def test_a_released_arm_whose_programme_ended_is_opened_anew(opened) -> None:
         stage.move_to(LOW, SPEED)
 
 
-@pytest.mark.parametrize(
-    ("mode", "name"), [(3, "power off"), (5, "brakes on"), (-1, "no controller"), (99, "mode 99")]
-)
+@pytest.mark.parametrize(("mode", "name"), [(3, "power off"), (99, "mode 99")])
 def test_a_mode_in_which_it_does_not_run_is_named(bench, mode, name) -> None:
     rig = bench()
     rig.arm.mode = mode
     with pytest.raises(DeviceError, match=name):
         rig.open()
     assert not rig.arm.uploads
+    rig.arm.mode = 7
+    rig.open().close()
 
 
 def test_a_lost_connection_is_told_and_a_stop_says_what_to_do(opened) -> None:
+    rig, stage = opened()
+    rig.arm.cut = True
+    stage.close()  # it went nowhere
     rig, stage = opened()
     rig.to_speed(stage, LOW)
     rig.arm.cut = True
@@ -349,13 +325,7 @@ def test_a_lost_connection_is_told_and_a_stop_says_what_to_do(opened) -> None:
         stage.close()
 
 
-def test_an_arm_that_went_nowhere_is_closed_though_its_connection_is_lost(opened) -> None:
-    rig, stage = opened()
-    rig.arm.cut = True
-    stage.close()
-
-
-@pytest.mark.parametrize("stale_s", [0.05, 0.2])
+@pytest.mark.parametrize("stale_s", [0.05])
 def test_a_status_that_stands_still_is_refused_once_it_is_too_old(opened, stale_s) -> None:
     rig, stage = opened(stale_s=stale_s)
     rig.to_speed(stage, LOW)
@@ -367,9 +337,8 @@ def test_a_status_that_stands_still_is_refused_once_it_is_too_old(opened, stale_
     assert stale_s - 1 / 125 - 0.005 <= took_s <= stale_s + 1 / 125 + 0.005
 
 
-@pytest.mark.parametrize("drift", [-8e-5, 0.0, 8e-5])
-def test_clocks_that_drift_apart_make_no_status_old(opened, drift) -> None:
-    rig, stage = opened(drift=drift)
+def test_clocks_that_drift_apart_make_no_status_old(opened) -> None:
+    rig, stage = opened(drift=-8e-5)
     ages = []
     for pause_s in (0.01, 1.0, 9.0, 60.0, 36e3):
         for _ in range(50):
@@ -399,33 +368,22 @@ def test_a_controller_that_restarted_is_told(opened) -> None:
 # Return codes, exceptions, threads.
 
 
-def test_a_refused_move_leaves_it_where_it_was(opened) -> None:
+@pytest.mark.parametrize(
+    ("faults", "code"),
+    [
+        ({"refuse": True}, "move-refused"),
+        ({"refuse_late": True}, "move-refused"),  # and begins all the same
+        ({"raises": True}, "stop-unexpected"),
+    ],
+)
+def test_a_move_that_the_library_refuses_ends_at_a_stand(opened, faults, code) -> None:
     rig, stage = opened()
-    rig.arm.faults = UrFaults(refuse=True)
-    before = rig.arm.true_pose()
-    with refused("move-refused", DeviceError):
-        stage.move_to(LOW, SPEED)
-    assert np.array_equal(rig.arm.true_pose(), before)
-    rig.arm.faults = UrFaults()
-    stage.move_to(LOW, SPEED)
-    rig.arrive(stage)
-
-
-def test_a_move_that_is_refused_and_begins_all_the_same_is_stopped(opened) -> None:
-    rig, stage = opened()
-    rig.arm.faults = UrFaults(refuse_late=True)
-    with refused("move-refused", DeviceError):
+    rig.arm.faults = UrFaults(**faults)
+    with refused(code, DeviceError):
         stage.move_to(LOW, SPEED)
     rig.clock.sleep(1.0)
     assert rig.arm.true_speed() == 0.0
     assert rig.arm.true_pose()[2] > 0.2  # short of it
-
-
-def test_an_exception_of_the_library_is_a_device_error(opened) -> None:
-    rig, stage = opened()
-    rig.arm.faults = UrFaults(raises=True)
-    with refused("stop-unexpected", DeviceError):
-        stage.move_to(LOW, SPEED)
 
 
 def test_an_arm_that_stands_short_or_strays_is_told(opened) -> None:
@@ -438,15 +396,6 @@ def test_an_arm_that_stands_short_or_strays_is_told(opened) -> None:
     stage.move_to(LOW, SPEED)
     assert "straight way" in rig.fails(stage.moving, within_s=4.0)
     stage.stop()
-
-
-def test_a_slow_move_is_neither_over_too_soon_nor_taken_for_stuck(opened) -> None:
-    rig, stage = opened(still_s=0.2)
-    began_s = rig.clock.now_ns() / 1e9
-    stage.move_to((0.0, 0.0, -0.0049), 5e-5)
-    rig.arrive(stage)
-    assert rig.clock.now_ns() / 1e9 - began_s >= 2.0
-    assert stage.position_m()[2] == pytest.approx(-0.0049, abs=2e-5)
 
 
 def test_a_move_that_was_stopped_before_it_began_never_does(opened, monkeypatch) -> None:
@@ -483,15 +432,6 @@ def test_one_programme_at_a_time_has_an_arm(bench) -> None:
     rig = bench()
     with rig.open(), refused("device-held", DeviceError, match=str(HOST)):
         rig.open()
-    rig.open().close()
-
-
-def test_an_arm_refused_at_opening_is_given_back(bench) -> None:
-    rig = bench()
-    rig.arm.mode = 3
-    with pytest.raises(DeviceError, match="power off"):
-        rig.open()
-    rig.arm.mode = 7
     rig.open().close()
 
 

@@ -11,7 +11,7 @@ from tests.refusals import refused
 
 from palpate.core import InputError, ManualClock, Pose
 from palpate.core.sensor import for_live, sensor
-from palpate.rig.virtual.virtual_hand import TREMBLING, HandHabits, VirtualHand
+from palpate.rig.virtual.virtual_hand import HandHabits, VirtualHand
 from palpate.rig.virtual.virtual_world import Dent
 from palpate.sensors.palm import fringe_view, palm_spec
 from palpate.sensors.palm.palm_render import render_clean
@@ -122,16 +122,6 @@ def test_frames_show_the_hand_and_their_truth_is_the_sensors() -> None:
         most, deepest = (change, truth["true_force_N"]) if change > most else (most, deepest)
     assert most > 3
     assert deepest > hand.force_range_n[0] / 2
-
-
-def test_trembling_hand_trembles_more() -> None:
-    steady, trembling = (
-        VirtualHand("palm", seed=0, clock=ManualClock(), habits=habits)
-        for habits in (HandHabits(), TREMBLING)
-    )
-    for hand in (steady, trembling):
-        felt(hand, 2.0)
-    assert trembling.world.presses[0].tremor_n > 10 * steady.world.presses[0].tremor_n
 
 
 def test_live_pictures_of_the_palm_are_those_drawn_anew() -> None:

@@ -12,7 +12,7 @@ from tests.fakes.grbl_parameters import GrblFaults, GrblParameters
 from tests.fakes.marlin_firmware import MarlinFaults, MarlinFirmware, MarlinParameters
 from tests.fakes.printing_scale import PrintingScale, ScaleFaults
 from tests.refusals import refused
-from tests.rig.lab_files import EchoModem, lab_file, palpate, served
+from tests.rig.lab_files import EchoModem, lab_file, served
 from tests.rig.serial_terminal import SerialDevice
 from tests.slow_params import mostly_slow
 
@@ -99,16 +99,6 @@ def test_a_scales_port_that_is_another_device_is_refused_with_what_it_said(
             open_rig(file)
         assert port in str(told.value)
         assert not lab.jogged
-
-
-@pytest.mark.slow
-def test_record_on_a_rig_whose_stage_is_a_scale_says_so_and_makes_no_run(tmp_path: Path) -> None:
-    with lab_file(tmp_path) as lab, served(device("scale")) as port:
-        lab.fields["stage"] = {**GRBL, "port": port}
-        done = palpate("record", "--rig", lab.write(), "--plan", "layer", "--out", str(tmp_path / "run"))
-        assert done.returncode == 2
-        assert "scale" in done.stderr
-        assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.parametrize(

@@ -8,13 +8,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.rig.rigs import keys, plan, rig, wanted
+from tests.rig.rigs import keys, near, quick, wanted
 
 from palpate.core import NS_PER_S, Wrench
 from palpate.devices import ForceBias, Reason
 from palpate.recordings import Run, check
 from palpate.rig import State, done_in, record
 from palpate.rig.engine import DISBELIEVED
+from palpate.rig.plans import Listed
 from palpate.rig.rig import Rig
 from palpate.rig.run_progress import fields_of
 from palpate.rig.virtual import Variation
@@ -43,16 +44,24 @@ class DriftingForce:
         return replace(one, force_n=(x, y, z + self._slope * seconds))
 
 
+SMALL = quick(places=Listed(kind="listed", at_mm=((0.0, 0.0),)), cycles=2, press_mm_s=2.0)
+
+
+def varied() -> Rig:
+    return near(variation=Variation(), seed=5)
+
+
 def drifting(begun_s: float, ended_s: float, slope_n_s: float = 1.0) -> Rig:
-    one = rig(variation=Variation(), seed=5)
+    one = varied()
     return replace(one, force=DriftingForce(one.force, slope_n_s, begun_s, ended_s))
 
 
 def span_of_last_press(path: Path) -> tuple[float, float]:
     """When the last press of the small plan goes down, and when it is over, on a sound rig [s]."""
-    sound = rig(variation=Variation(), seed=5)
-    assert record(sound, plan(), path).state is State.DONE
+    sound = varied()
+    assert record(sound, SMALL, path).state is State.DONE
     run = Run.open(path)
+    assert len(fields_of(run, "zero-moved")) == 2, "every press ends with a zero, the last included"
     down = run.times_s[run.labels.index[run.labels["phase"] == "down"][-1]]
     begun_s = (sound.clock.now_ns() - run.end_ns + run.manifest.created_ns) / NS_PER_S
     return begun_s + float(down) - 0.3, begun_s + float(down) + 0.1
@@ -68,15 +77,15 @@ def test_a_press_whose_zero_moved_is_named_taken_back_and_recorded_anew(
 ) -> None:
     begun_s, ended_s = span_of_last_press(tmp_path / "sound")
     out = tmp_path / "run"
-    outcome = record(drifting(begun_s, ended_s + (60.0 if goes_on else 0.0)), plan(), out)
+    outcome = record(drifting(begun_s, ended_s + (60.0 if goes_on else 0.0)), SMALL, out)
     assert outcome.state is State.FAILED
     assert outcome.reason in ({Reason.FORCE_DRIFT} if not goes_on else DISBELIEVED)
-    assert (outcome.shots, outcome.void_shots) == (12, 4)
-    assert check(out).void_frames == 7
+    assert (outcome.shots, outcome.void_shots) == (4, 4)
+    assert check(out).void_frames == 4
     assert sorted({key for key, _ in keys(Run.open(out))}) == sorted(done_in(Run.open(out)))
-    assert record(rig(variation=Variation(), seed=5), plan(), out).state is State.DONE
+    assert record(varied(), SMALL, out).state is State.DONE
     run = Run.open(out)
-    assert sorted(keys(run)) == sorted(wanted(plan()))
+    assert sorted(keys(run)) == sorted(wanted(SMALL))
     assert (run.labels["force_N"] - run.labels["true_force_N"]).abs().max() < 0.05
 
 
@@ -84,15 +93,10 @@ def test_a_press_whose_zero_moved_is_named_taken_back_and_recorded_anew(
 def test_a_small_movement_of_the_zero_is_told_as_a_figure(tmp_path: Path) -> None:
     begun_s, ended_s = span_of_last_press(tmp_path / "sound")
     out = tmp_path / "run"
-    outcome = record(drifting(begun_s, ended_s, 0.1), plan(), out)
+    outcome = record(drifting(begun_s, ended_s, 0.1), SMALL, out)
     assert outcome.state is State.DONE
     assert outcome.zero_moved_n == pytest.approx(0.04, abs=0.01)
     assert check(out).zero_moved_N == outcome.zero_moved_n
-
-
-def test_every_press_ends_with_a_zero_the_last_included(tmp_path: Path) -> None:
-    record(rig(), plan(), tmp_path / "run")
-    assert len(fields_of(Run.open(tmp_path / "run"), "zero-moved")) == 4
 
 
 def air(slope: float, noise_n: float, seed: int = 0) -> list[Wrench]:

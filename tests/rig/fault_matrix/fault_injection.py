@@ -58,7 +58,6 @@ class RigFault:
         within: how far the probe may go on once it shows, towards or along the skin, beside the stop itself.
         shows: "force" where it shows when the force read differs from the true one, "limit" when the true
             force passes the limit; else it shows at once, or when it says so itself.
-        listed: numbers in the list of faults that the table is made after.
         elsewhere: what differs in some of the states, and why.
     """
 
@@ -69,7 +68,6 @@ class RigFault:
     stays: str = ""
     within: str = AT_ONCE
     shows: str = ""
-    listed: tuple[str, ...] = ()
     elsewhere: Mapping[str, Otherwise] = field(default_factory=dict)
 
     def names_in(self, state: str) -> tuple[str, ...]:

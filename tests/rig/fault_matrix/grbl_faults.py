@@ -106,20 +106,11 @@ def commanded(command: OperatorCommand) -> Callable[[GrblRig], None]:
 
 
 GRBL_FAULTS = (
-    RigFault(
-        "every third report damaged", "line", spoilt(garble_every=3), ("done",), within=OPEN, listed=("S13",)
-    ),
+    RigFault("every third report damaged", "line", spoilt(garble_every=3), ("done",), within=OPEN),
     RigFault("every third question lost", "line", spoilt(lose_every=3), ("done",), within=OPEN),
     RigFault("one report in forty late", "line", spoilt(late_every=40, late_s=0.3), ("done",), within=OPEN),
-    RigFault(
-        "status in the midst of replies",
-        "line",
-        spoilt(status_in_reply=True),
-        ("done",),
-        within=OPEN,
-        listed=("S3",),
-    ),
-    RigFault("every answer twice", "line", spoilt(double_ok=True), ("done",), within=OPEN, listed=("S4",)),
+    RigFault("status in the midst of replies", "line", spoilt(status_in_reply=True), ("done",), within=OPEN),
+    RigFault("every answer twice", "line", spoilt(double_ok=True), ("done",), within=OPEN),
     RigFault(
         "answers to moves lost",
         "line",
@@ -127,7 +118,6 @@ GRBL_FAULTS = (
         ("stage",),
         stays="it answers no move",
         within=NEXT,
-        listed=("S4",),
     ),
     RigFault(
         "8-bit noise before every line",
@@ -136,48 +126,18 @@ GRBL_FAULTS = (
         ("stage",),
         stays="no line of it can be read",
         within=NEXT,
-        listed=("S13",),
+    ),
+    RigFault("hears, and says nothing", "line", spoilt(mute=True), ("stage",), stays=LINE, within=STEP),
+    RigFault("unplugged", "line", unplugged, ("stage",), stays=LINE, within=STEP),
+    RigFault("port refuses to write", "line", refusing_port, ("stage",), stays=LINE, within=STEP),
+    RigFault("port takes a byte too few", "line", short_port, ("stage",), stays=LINE, within=STEP),
+    RigFault("restarts by itself", "controller", restarted(), ("stage",), stays=LOST),
+    RigFault("restarts without a banner", "controller", restarted(no_banner=True), ("stage",), stays=LOST),
+    RigFault(
+        "restarts, and lists its settings", "controller", restarted(boot_dump=True), ("stage",), stays=LOST
     ),
     RigFault(
-        "hears, and says nothing",
-        "line",
-        spoilt(mute=True),
-        ("stage",),
-        stays=LINE,
-        within=STEP,
-        listed=("S8",),
-    ),
-    RigFault("unplugged", "line", unplugged, ("stage",), stays=LINE, within=STEP, listed=("S11", "S12")),
-    RigFault(
-        "port refuses to write", "line", refusing_port, ("stage",), stays=LINE, within=STEP, listed=("S12",)
-    ),
-    RigFault(
-        "port takes a byte too few", "line", short_port, ("stage",), stays=LINE, within=STEP, listed=("S12",)
-    ),
-    RigFault("restarts by itself", "controller", restarted(), ("stage",), stays=LOST, listed=("S1", "S9")),
-    RigFault(
-        "restarts without a banner",
-        "controller",
-        restarted(no_banner=True),
-        ("stage",),
-        stays=LOST,
-        listed=("S1", "S9"),
-    ),
-    RigFault(
-        "restarts, and lists its settings",
-        "controller",
-        restarted(boot_dump=True),
-        ("stage",),
-        stays=LOST,
-        listed=("S2", "S9"),
-    ),
-    RigFault(
-        "units and modes left by others",
-        "controller",
-        said(b"G20G91\n"),
-        ("done", "stage"),
-        within=OPEN,
-        listed=("S10",),
+        "units and modes left by others", "controller", said(b"G20G91\n"), ("done", "stage"), within=OPEN
     ),
     RigFault(
         "soft limit: ALARM:2, then silence",
@@ -186,12 +146,9 @@ GRBL_FAULTS = (
         ("stage",),
         stays=LOST,
         within=STEP,
-        listed=("S8", "S14"),
     ),
     RigFault("hard limit: ALARM:1", "controller", hard_limit, ("stage",), stays=LOST),
-    RigFault(
-        "count jumps by 0.5 mm", "controller", jumped, ("stage",), stays=LOST, within=STEP, listed=("S16",)
-    ),
+    RigFault("count jumps by 0.5 mm", "controller", jumped, ("stage",), stays=LOST, within=STEP),
     RigFault(
         "says that it runs, and stands",
         "controller",
@@ -199,15 +156,9 @@ GRBL_FAULTS = (
         ("stage", "stage-late"),
         stays="it does not move",
         within=STEP,
-        listed=("S17",),
     ),
     RigFault(
-        "says Idle before a move begins",
-        "controller",
-        spoilt(idle_s=0.02),
-        ("done", "stage"),
-        within=OPEN,
-        listed=("S19",),
+        "says Idle before a move begins", "controller", spoilt(idle_s=0.02), ("done", "stage"), within=OPEN
     ),
     RigFault(
         "hold by somebody else",
@@ -224,9 +175,7 @@ GRBL_FAULTS = (
         },
     ),
     RigFault("jog cancelled by somebody else", "controller", said(b"\x85"), ("done", "stage"), within=STEP),
-    RigFault(
-        "reset by somebody else", "controller", said(b"\x18"), ("stage",), stays=LOST, listed=("S9", "S10")
-    ),
+    RigFault("reset by somebody else", "controller", said(b"\x18"), ("stage",), stays=LOST),
     RigFault(
         "put to sleep by somebody else",
         "controller",
@@ -253,9 +202,7 @@ GRBL_FAULTS = (
         within=STEP,
     ),
     RigFault("force sensor does not answer", "other", force_gone, ("force-sensor",), within=AT_ONCE),
-    RigFault(
-        "abort", "other", commanded(OperatorCommand.ABORT), ("aborted",), within=AT_ONCE, listed=("S20",)
-    ),
+    RigFault("abort", "other", commanded(OperatorCommand.ABORT), ("aborted",), within=AT_ONCE),
     RigFault(
         "emergency stop",
         "other",

@@ -94,10 +94,7 @@ def shown(cell: Cell) -> str:
 def table(cells: Sequence[Cell], parts: Sequence[str], faults: Sequence[RigFault]) -> str:
     """The table of some faults, one a row, with the states as columns."""
     found = {key_of(cell): cell for cell in cells}
-    lines = [
-        "| fault | " + " | ".join(state.name for state in STATES) + " |",
-        "|---|" + "---|" * len(STATES),
-    ]
+    lines = ["| fault | " + " | ".join(state.name for state in STATES) + " |", "|---|" + "---|" * len(STATES)]
     for part, fault in zip(parts, faults, strict=True):
         row = [shown(found[part, fault.name, state.name]) for state in STATES]
         lines.append(f"| {fault.part}: {fault.name} | " + " | ".join(row) + " |")

@@ -51,28 +51,14 @@ GONE = "the stage is gone"
 NOT_JUDGED = "at a pause nothing moves, and no sample is judged"
 NUMB = "before contact a hum that feels nothing is as a skin that is not there"
 FAULTS = (
-    RigFault(
-        "no sample any more",
-        "force",
-        of_kind("force-stalls"),
-        ("force-stale",),
-        within=AGE,
-        listed=("F1", "F8", "F11", "G4"),
-    ),
-    RigFault("does not answer", "force", of_kind("force-gone"), ("force-sensor",), listed=("F5", "F7", "G4")),
-    RigFault(
-        "saturates, or any fault bit",
-        "force",
-        of_kind("force-saturates"),
-        ("force-fault",),
-        listed=("F6", "F14"),
-    ),
+    RigFault("no sample any more", "force", of_kind("force-stalls"), ("force-stale",), within=AGE),
+    RigFault("does not answer", "force", of_kind("force-gone"), ("force-sensor",)),
+    RigFault("saturates, or any fault bit", "force", of_kind("force-saturates"), ("force-fault",)),
     RigFault(
         "one sample of 1000 N",
         "force",
         of_kind("force-spike"),
         ("force-limit",),
-        listed=("F14",),
         elsewhere={
             "idle": Otherwise(("force-noise",), "it falls into the air check of the first approach"),
             "travel": Otherwise(("force-limit", "touched-early"), "in the air any rise by 1 N is a touch"),
@@ -85,7 +71,6 @@ FAULTS = (
         "force",
         of_kind("force-noisy"),
         ("force-noise",),
-        listed=("F12",),
         elsewhere={
             "idle": Otherwise(
                 ("touched-early", "force-noise"), "before the first zero nobody knows the noise", OPEN
@@ -93,13 +78,7 @@ FAULTS = (
         },
     ),
     RigFault(
-        "reversed",
-        "force",
-        of_kind("force-reversed"),
-        ("force-reversed",),
-        within=TRUST,
-        shows="force",
-        listed=("F12",),
+        "reversed", "force", of_kind("force-reversed"), ("force-reversed",), within=TRUST, shows="force"
     ),
     RigFault(
         "stuck",
@@ -108,7 +87,6 @@ FAULTS = (
         ("force-stuck",),
         within=TRUST,
         shows="force",
-        listed=("F4",),
         elsewhere={"idle": Otherwise(("force-dead",), "it never showed noise in this run")},
     ),
     RigFault("dead, all zero", "force", of_kind("force-dead"), ("force-dead",), within=TRUST, shows="force"),
@@ -134,7 +112,6 @@ FAULTS = (
         ("force-scaled",),
         within=TRUST,
         shows="force",
-        listed=("F7",),
         elsewhere={
             "idle": Otherwise(("done",), "not seen: a known weight tells", OPEN),
             **dict.fromkeys(
@@ -150,26 +127,18 @@ FAULTS = (
         ("force-late",),
         within=TRUST,
         shows="force",
-        listed=("F3",),
         elsewhere=dict.fromkeys(
             ("hold", "slide"), Otherwise(("force-late", "force-stale"), "a frame has no force near it")
         ),
     ),
     RigFault(
-        "a tenth of its rate",
-        "force",
-        of_kind("force-slow"),
-        ("force-slow",),
-        within=TRUST,
-        shows="force",
-        listed=("F3",),
+        "a tenth of its rate", "force", of_kind("force-slow"), ("force-slow",), within=TRUST, shows="force"
     ),
     RigFault(
         "NaN",
         "force",
         both(replacing("force", "drain", no_number), replacing("force", "latest", no_number)),
         ("force-fault",),
-        listed=("F2",),
     ),
     RigFault(
         "driver raises",
@@ -179,18 +148,9 @@ FAULTS = (
             replacing("force", "latest", raising(KeyError("Fz"))),
         ),
         ("force-sensor",),
-        listed=("F2", "F10"),
     ),
     RigFault("call blocks for 1 s", "force", late_once(1.0), ("done",), within=STEP),
-    RigFault(
-        "does not answer",
-        "stage",
-        of_kind("stage-gone"),
-        ("stage",),
-        stays=GONE,
-        within=STEP,
-        listed=("S11", "S12"),
-    ),
+    RigFault("does not answer", "stage", of_kind("stage-gone"), ("stage",), stays=GONE, within=STEP),
     RigFault(
         "says that it moves, and stands",
         "stage",
@@ -198,10 +158,9 @@ FAULTS = (
         ("stage", "stage-late"),
         stays="it takes no move",
         within=STEP,
-        listed=("S17",),
     ),
-    RigFault("loses 0.1 mm of every move", "stage", slipping, ("stage",), within=STEP, listed=("S16",)),
-    RigFault("count jumps by 0.5 mm", "stage", jumped, ("stage",), within=STEP, listed=("S16",)),
+    RigFault("loses 0.1 mm of every move", "stage", slipping, ("stage",), within=STEP),
+    RigFault("count jumps by 0.5 mm", "stage", jumped, ("stage",), within=STEP),
     RigFault(
         "does not stop when told to",
         "stage",
@@ -227,38 +186,17 @@ FAULTS = (
         stays="it refuses to move",
         within=STEP,
     ),
-    RigFault("does not answer", "camera", of_kind("camera-gone"), ("camera",), within=OPEN, listed=("C5",)),
+    RigFault("does not answer", "camera", of_kind("camera-gone"), ("camera",), within=OPEN),
     RigFault(
-        "same frame again and again",
-        "camera",
-        of_kind("camera-frozen"),
-        ("camera", "clocks"),
-        within=OPEN,
-        listed=("C1",),
+        "same frame again and again", "camera", of_kind("camera-frozen"), ("camera", "clocks"), within=OPEN
     ),
-    RigFault(
-        "frames of another size",
-        "camera",
-        of_kind("camera-resized"),
-        ("camera",),
-        within=OPEN,
-        listed=("C3",),
-    ),
-    RigFault(
-        "no frame any more", "camera", of_kind("camera-stalls"), ("camera",), within=OPEN, listed=("C1",)
-    ),
-    RigFault(
-        "every other frame lost", "camera", of_kind("camera-drops"), ("done",), within=OPEN, listed=("C1",)
-    ),
+    RigFault("frames of another size", "camera", of_kind("camera-resized"), ("camera",), within=OPEN),
+    RigFault("no frame any more", "camera", of_kind("camera-stalls"), ("camera",), within=OPEN),
+    RigFault("every other frame lost", "camera", of_kind("camera-drops"), ("done",), within=OPEN),
     RigFault("frames 1.5 s late", "camera", late_frames(1.5), ("done", "camera"), within=OPEN),
     RigFault("frames 3 s late", "camera", late_frames(3.0), ("camera",), within=OPEN),
     RigFault(
-        "stamps run backwards",
-        "camera",
-        backward_stamps,
-        ("camera", "force-stale", "clocks"),
-        within=OPEN,
-        listed=("C2",),
+        "stamps run backwards", "camera", backward_stamps, ("camera", "force-stale", "clocks"), within=OPEN
     ),
     RigFault(
         "driver raises",
@@ -270,32 +208,18 @@ FAULTS = (
         ("camera",),
         within=OPEN,
     ),
+    RigFault("full", "disk", disk_that(OSError(28, "No space left on device")), ("storage",), within=OPEN),
     RigFault(
-        "full",
-        "disk",
-        disk_that(OSError(28, "No space left on device")),
-        ("storage",),
-        within=OPEN,
-        listed=("D1",),
+        "input/output error", "disk", disk_that(OSError(5, "Input/output error")), ("storage",), within=OPEN
     ),
-    RigFault(
-        "input/output error",
-        "disk",
-        disk_that(OSError(5, "Input/output error")),
-        ("storage",),
-        within=OPEN,
-        listed=("D1",),
-    ),
-    RigFault("slow", "disk", slow_disk, ("done",), within=OPEN, listed=("C4",)),
+    RigFault("slow", "disk", slow_disk, ("done",), within=OPEN),
     RigFault("pause", "operator", operator(OperatorCommand.PAUSE), ("done",)),
     RigFault("stop", "operator", operator(OperatorCommand.STOP), ("stopped", "done"), within=OPEN),
-    RigFault("abort, Ctrl-C", "operator", operator(OperatorCommand.ABORT), ("aborted",), listed=("S20",)),
+    RigFault("abort, Ctrl-C", "operator", operator(OperatorCommand.ABORT), ("aborted",)),
     RigFault(
         "emergency stop", "operator", operator(OperatorCommand.ESTOP), ("e-stopped",), stays="emergency stop"
     ),
-    RigFault(
-        "KeyboardInterrupt in any call", "programme", interrupted, ("KeyboardInterrupt",), listed=("S20",)
-    ),
+    RigFault("KeyboardInterrupt in any call", "programme", interrupted, ("KeyboardInterrupt",)),
     RigFault("who watches raises", "programme", failing_watcher, ("LookupError",), within=OPEN),
     RigFault(
         "killed (kill -9)",
@@ -304,7 +228,6 @@ FAULTS = (
         ("killed",),
         stays="nothing is left that could move it",
         within=STEP,
-        listed=("D2",),
     ),
     RigFault(
         "stands still for 5 s",
@@ -312,24 +235,15 @@ FAULTS = (
         computer_stands_still,
         ("done",),
         within=STEP,
-        listed=("G5",),
         elsewhere={"hold": Otherwise(("done", "force-stale"), "a frame has no force near it")},
     ),
-    RigFault(
-        "nothing to touch",
-        "skin",
-        of_kind("layer-gone"),
-        ("no-contact", "force-dead"),
-        within=SEARCH,
-        listed=("G1",),
-    ),
+    RigFault("nothing to touch", "skin", of_kind("layer-gone"), ("no-contact", "force-dead"), within=SEARCH),
     RigFault(
         "twenty times as stiff",
         "skin",
         harder_skin,
         ("force-implausible", "force-limit", "force-rate"),
         shows="limit",
-        listed=("G2",),
         elsewhere={
             "idle": Otherwise(("done",), "such a skin is as good as any"),
             "taps": Otherwise(
@@ -344,7 +258,6 @@ FAULTS = (
         raised_skin,
         ("touched-early", "force-implausible", "force-limit", "force-rate"),
         within=TRUST,
-        listed=("G3",),
         elsewhere={
             "taps": Otherwise(
                 ("force-implausible", "touched-early", "clocks"), "a tap is then too short for the camera"
