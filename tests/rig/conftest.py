@@ -133,6 +133,17 @@ def grbl_bench():
 
 
 @pytest.fixture
+def grbl_open(grbl_bench):
+    """Make a bench and open its stage; whether its position is known, as on a bench."""
+
+    def make(*args, known: bool = True, **spec) -> tuple[GrblBench, GrblStage]:
+        bench = grbl_bench(*args, **spec)
+        return bench, bench.open(known=known)
+
+    return make
+
+
+@pytest.fixture
 def coarse_looks(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let the guard look once a force sample of a virtual rig: for tests of what is recorded."""
     monkeypatch.setattr(motion_guard, "POLL_S", 0.005)

@@ -60,7 +60,7 @@ class PressBench:
         self.rig = virtual_rig(
             sensor, clock=self.clock, seed=seed, variation=variation, faults=faults, force_hz=force_hz
         )
-        self.world = self.rig.force._world  # type: ignore[attr-defined]
+        self.world = self.rig.force._world
         self.plan = plan or StepHold(places=Listed(kind="listed", at_mm=((0.0, 0.0),)), taps=0)
         self.indenter = indenter or sensor_of(sensor).default_probe if isinstance(sensor, str) else ""
         if self.indenter:

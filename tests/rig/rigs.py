@@ -45,7 +45,7 @@ def rig(*faults: Fault, **kwargs: Any) -> Rig:
 def near(*faults: Fault, **kwargs: Any) -> Rig:
     """The same with the probe 1 mm above the skin, so that the first approach is short."""
     made = rig(*faults, **kwargs)
-    world = made.stage._world  # type: ignore[attr-defined]
+    world = made.stage._world
     start = (0.0, 0.0, -1e-3)
     world._motions[-1] = standing(start, world.now_s)
     world._played = np.array(start)

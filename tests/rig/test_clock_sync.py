@@ -25,6 +25,7 @@ from palpate.rig.virtual import Fault, Variation
 from palpate.rig.virtual.virtual_camera import TRANSPORT_S
 from palpate.rig.virtual.virtual_force import LATENCY_S
 
+pytestmark = pytest.mark.usefixtures("coarse_looks")
 TRUE_S = TRANSPORT_S - LATENCY_S
 CENTRE = Listed(kind="listed", at_mm=((0.0, 0.0),))
 
@@ -39,9 +40,7 @@ def later(n: int) -> ManualClock:
     return ManualClock(n * CLOCK_NS)
 
 
-def test_taps_find_how_late_frames_are_stamped_and_the_run_holds_what_it_was_found_from(
-    tmp_path: Path,
-) -> None:
+def test_taps_find_how_late_frames_are_stamped_and_the_run_holds_what_it_was_found_from(tmp_path):
     out = tmp_path / "run"
     outcome = record(near(variation=Variation(), seed=2), tapping(4), out)
     assert outcome.state is State.DONE
@@ -99,11 +98,11 @@ def test_a_recording_that_goes_on_taps_again(tmp_path: Path) -> None:
     ),
 )
 def test_what_fails_while_tapping_stops_with_its_name_and_the_recording_goes_on_afterwards(
-    tmp_path: Path, kind: str, reason: Reason
-) -> None:
+    tmp_path, kind, reason
+):
     small, out = tapping(), tmp_path / "run"
     tapping_s = 3.5  # after the first approach and the touch
-    outcome = record(near(Fault(kind, tapping_s)), small, out)  # type: ignore[arg-type]
+    outcome = record(near(Fault(kind, tapping_s)), small, out)
     assert (outcome.state, outcome.reason, outcome.shots) == (State.FAILED, reason, 0)
     assert record(near(clock=later(3)), small, out).state is State.DONE
 
@@ -157,8 +156,8 @@ TRIES = 3  # the machine may have other work
     ),
 )
 def test_a_stop_is_answered_while_the_taps_are_analysed_and_the_runs_frames_stay_whole(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: OperatorCommand, state: State
-) -> None:
+    tmp_path, monkeypatch, command, state
+):
     small, out, first = tapping(depth_mm=1.2), tmp_path / "run", OperatorControl()
 
     def early(status: Status) -> None:
@@ -205,8 +204,8 @@ def _stopped_s(
 
 
 def test_the_status_is_told_on_while_the_taps_are_analysed_until_a_force_that_fails_ends_the_recording(
-    tmp_path: Path, slow: SlowAnalysis
-) -> None:
+    tmp_path, slow
+):
     broken, told = near(), list[Status]()
     drain = broken.force.drain
 
@@ -224,15 +223,13 @@ def test_the_status_is_told_on_while_the_taps_are_analysed_until_a_force_that_fa
             told.append(status)
 
     begun_s = time.monotonic()
-    outcome = record(replace(broken, force=Broken()), tapping(), tmp_path / "run", watch=watch)  # type: ignore[arg-type]
+    outcome = record(replace(broken, force=Broken()), tapping(), tmp_path / "run", watch=watch)
     assert (outcome.state, outcome.reason) == (State.FAILED, Reason.FORCE_SENSOR)
     assert time.monotonic() - begun_s < SlowAnalysis.TAKES_S, "the fifth status came while it ran"
     assert all(status.force_n is not None and status.position_mm is not None for status in told)
 
 
-def test_an_analysis_that_takes_too_long_is_given_up_and_named(
-    tmp_path: Path, slow: SlowAnalysis, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_analysis_that_takes_too_long_is_given_up_and_named(tmp_path, slow, monkeypatch):
     monkeypatch.setattr(clock_sync, "MAX_ANALYSIS_S", 0.3)
     outcome = record(near(), tapping(), tmp_path / "run")
     assert (outcome.state, outcome.reason, outcome.shots) == (State.FAILED, Reason.CLOCKS, 0)

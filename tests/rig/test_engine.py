@@ -86,14 +86,12 @@ def test_labels_are_the_truth_within_noise_and_the_contact_threshold(whole: Run)
     assert len(references) == 2
     assert (references["true_depth_mm"] == 0).all()
     assert references["force_N"].abs().max() < 0.02
-    zeros = [float(fields["z_mm"]) for fields in fields_of(whole, "zero")]  # type: ignore[arg-type]
+    zeros = [float(fields["z_mm"]) for fields in fields_of(whole, "zero")]
     assert whole.stage()["z_m"].max() * 1e3 <= max(zeros) + 1.2 + 1e-6
 
 
 @pytest.mark.parametrize(("speed_mm_s", "taps"), [(1.0, 0), pytest.param(5.0, 3, marks=pytest.mark.slow)])
-def test_depth_counts_from_the_same_zero_in_a_sweep(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, speed_mm_s: float, taps: int
-) -> None:
+def test_depth_counts_from_the_same_zero_in_a_sweep(tmp_path, monkeypatch, speed_mm_s, taps):
     monkeypatch.setattr(motion_guard, "POLL_S", 0.002)
     sweep = Ramp(
         name="s", kind="swept", places=CENTRE, taps=taps, cycles=1, speed_mm_s=speed_mm_s, until_N=2.0,
@@ -121,9 +119,7 @@ def test_the_raw_force_is_kept_beside_the_tared_one(whole: Run) -> None:
 @pytest.mark.parametrize("after_shots", mostly_slow([0, 1, 2], lambda i: i == 1))
 @pytest.mark.parametrize("wish", [OperatorCommand.ABORT, OperatorCommand.ESTOP, OperatorCommand.STOP])
 @pytest.mark.cases(1)
-def test_what_was_ended_goes_on_at_the_first_missing_shot(
-    tmp_path: Path, after_shots: int, wish: OperatorCommand
-) -> None:
+def test_what_was_ended_goes_on_at_the_first_missing_shot(tmp_path, after_shots, wish):
     out, small = tmp_path / "run", quick()
     first = record(near(), small, out, **at_shots(OperatorControl(), after_shots, wish))
     ends = {

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -51,13 +50,11 @@ CENTRE = Listed(kind="listed", at_mm=((0.0, 0.0),))
 )
 @pytest.mark.parametrize("after_s", [0.1, pytest.param(1.2, marks=pytest.mark.slow)])
 @pytest.mark.cases(2)
-def test_every_fault_stops_with_its_name_and_the_run_goes_on_afterwards(
-    tmp_path: Path, fault: str, reason: Reason, after_s: float
-) -> None:
+def test_every_fault_stops_with_its_name_and_the_run_goes_on_afterwards(tmp_path, fault, reason, after_s):
     out = tmp_path / "run"
     # Seven frames, so that a frozen camera is noticed within a shot; one place, which each fault comes at.
     small = plan(frames=7, cycles=1, depth_mm=0.8, places=CENTRE)
-    faulty = rig(Fault(fault, after_s))  # type: ignore[arg-type]
+    faulty = rig(Fault(fault, after_s))
     outcome = record(faulty, small, out)
     assert outcome.state is State.FAILED
     noisy = {Reason.FORCE_NOISE, Reason.TOUCHED_EARLY, Reason.FORCE_RATE, Reason.FORCE_LIMIT}
@@ -110,9 +107,7 @@ def test_a_force_beyond_the_limit_stops_within_the_overshoot_and_lifts(tmp_path:
         ({"places": Grid(pitch_mm=30, per_side=3, layer_mm=100)}, Reason.SOFT_LIMIT),
     ],
 )
-def test_a_plan_that_leaves_the_limits_is_refused_before_anything_moves(
-    tmp_path: Path, change: dict[str, object], reason: Reason
-) -> None:
+def test_a_plan_that_leaves_the_limits_is_refused_before_anything_moves(tmp_path, change, reason):
     faulty = rig(limits=Limits((-20e-3, -20e-3, -30e-3), (20e-3, 20e-3, 12e-3)))
     before = faulty.stage.position_m()
     with pytest.raises(Tripped) as e:
@@ -129,15 +124,7 @@ def test_a_threshold_under_the_noise_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_camera_that_gives_no_frames_stops_a_sweep(tmp_path: Path) -> None:
-    slow = Ramp(
-        name="slow",
-        kind="swept",
-        taps=0,
-        places=CENTRE,
-        cycles=1,
-        speed_mm_s=1.0,
-        depth_mm=2.0,
-    )
+    slow = Ramp(name="slow", kind="swept", taps=0, places=CENTRE, cycles=1, speed_mm_s=1.0, depth_mm=2.0)
     stalled = near(Fault("camera-stalls", 2.0))
     outcome = record(stalled, slow, tmp_path / "run")
     assert (outcome.state, outcome.reason) == (State.FAILED, Reason.CAMERA)
@@ -171,9 +158,7 @@ def refused_room(patch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("full", [refused_writes, refused_room])
 @pytest.mark.cases(1)
-def test_a_full_disk_stops_and_lifts_and_the_run_stays_readable(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, full: Callable[[pytest.MonkeyPatch], None]
-) -> None:
+def test_a_full_disk_stops_and_lifts_and_the_run_stays_readable(tmp_path, monkeypatch, full):
     if full is refused_room and not hasattr(os, "posix_fallocate"):
         pytest.skip("this system holds no room on a disk")
     full(monkeypatch)
@@ -208,7 +193,7 @@ class Odd:
             return real
 
         def call(*args: object) -> object:
-            touched = self._rig.stage._world.stand_at()[2] > 0.3e-3  # type: ignore[attr-defined]
+            touched = self._rig.stage._world.stand_at()[2] > 0.3e-3
             if not touched:
                 return real(*args)
             if isinstance(self._result, Exception):
@@ -229,8 +214,8 @@ class Odd:
 )
 @pytest.mark.cases(1)
 def test_whatever_a_driver_does_the_probe_is_lifted_and_the_name_is_the_device_s(
-    tmp_path: Path, device: str, call: str, result: object, reason: Reason
-) -> None:
+    tmp_path, device, call, result, reason
+):
     sound = near()
     odd = replace(sound, **{device: Odd(getattr(sound, device), call, sound, result)})
     outcome = record(odd, plan(), tmp_path / "run")
@@ -255,7 +240,7 @@ def test_a_stage_that_answers_only_at_the_second_try_is_lifted_at_the_third(tmp_
                 raise DeviceError("the stage has not answered")
             return at
 
-    outcome = record(replace(sound, stage=Late()), plan(), tmp_path / "run")  # type: ignore[arg-type]
+    outcome = record(replace(sound, stage=Late()), plan(), tmp_path / "run")
     assert (outcome.state, outcome.reason) == (State.FAILED, Reason.STAGE)
     assert sound.stage.position_m()[2] <= -CLEARANCE_MM * 1e-3 + 1e-9
 
@@ -280,14 +265,14 @@ def test_one_who_watches_and_fails_does_not_hold_the_probe_in_the_skin(tmp_path:
 
 def test_a_zero_that_was_taken_in_contact_is_given_up_and_the_probe_lifted(tmp_path: Path) -> None:
     sound = near()
-    world, drain = sound.stage._world, sound.force.drain  # type: ignore[attr-defined]
+    world, drain = sound.stage._world, sound.force.drain
 
     def risen() -> list[Wrench]:
         if world._presses == 2 and world._lifted:  # the gentle touch, and the first press
             world._origin = (0.0, 0.0, -1.5e-3)
         return drain()
 
-    sound.force.drain = risen  # type: ignore[method-assign]
+    sound.force.drain = risen
     outcome = record(sound, plan(), tmp_path / "run")
     assert (outcome.state, outcome.reason) == (State.FAILED, Reason.TOUCHED_EARLY), outcome.message
     assert "not lifted" not in outcome.message
@@ -310,7 +295,7 @@ def test_frames_that_run_backwards_are_the_camera_s_fault(tmp_path: Path) -> Non
         time_ns, frame = grab(timeout_s)
         return time_ns - next(count) * 40_000_000, frame  # they come 33 ms apart
 
-    sound.camera.grab = back  # type: ignore[method-assign]
+    sound.camera.grab = back
     outcome = record(sound, plan(), tmp_path / "run")
     assert (outcome.state, outcome.reason) == (State.FAILED, Reason.CAMERA), outcome.message
     assert "backwards" in outcome.message

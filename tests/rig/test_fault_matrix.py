@@ -93,9 +93,7 @@ def test_after_a_fault_the_same_command_goes_on_to_the_plan_s_frames(fault: RigF
     ids=[f"{f.part}: {f.name} / {s.name}, {w}" for f, s, w in ORDINARY_GRBL],
 )
 @pytest.mark.cases(1)
-def test_a_fault_of_the_stage_is_stopped_named_lifted_and_recorded_on(
-    fault: RigFault, state, firmware
-) -> None:
+def test_a_fault_of_the_stage_is_stopped_named_lifted_and_recorded_on(fault, state, firmware):
     assert faults_of(run_grbl_cell(fault, state, firmware), fault) == []
 
 
@@ -131,9 +129,7 @@ class TestControls:
         broken = self.broken("force", "stuck", "press")
         assert "ended as" in broken or "went on" in broken
 
-    def test_a_guard_that_does_not_look_at_ages_goes_on_too_far(
-        self, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_a_guard_that_does_not_look_at_ages_goes_on_too_far(self, monkeypatch):
         monkeypatch.setattr(ForceWatch, "check_age", lambda self, age_s: None)
         monkeypatch.setattr(ForceMonitor, "oldest_s", property(lambda self: 1e9))
         assert "went on" in self.broken("force", "no sample any more", "seek")
@@ -151,9 +147,7 @@ class TestControls:
         monkeypatch.setattr("palpate.rig.engine.Engine._lift_if_possible", lambda self: "")
         assert "probe stays" in self.broken("force", "saturates, or any fault bit", "hold")
 
-    def test_a_stage_twice_as_late_as_it_states_is_beyond_its_bound(
-        self, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_a_stage_twice_as_late_as_it_states_is_beyond_its_bound(self, monkeypatch):
         stop = VirtualStage.stop
 
         def late(self: VirtualStage) -> None:

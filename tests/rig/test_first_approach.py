@@ -18,7 +18,6 @@ from palpate.core import DeviceError, ForceSensor, Position, PositionUnknownErro
 from palpate.devices import OperatorCommand, OperatorControl, Reason, Tripped
 from palpate.rig import State, open_rig, record
 from palpate.rig.press_motion import PressMotion
-from palpate.rig.rig_file import PositionFrom
 from palpate.rig.run_progress import Status
 
 MM = 1e-3
@@ -66,8 +65,8 @@ def mistaken(error_mm: float, sideways_mm: float = 0.0):
 @pytest.mark.parametrize(("error_mm", "sideways_mm"), [(0.6, 0.0), (3.0, 0.0), (6.0, -3.0)])
 @pytest.mark.cases(2)
 def test_a_stage_nearer_to_the_skin_than_it_reports_touches_it_at_search_speed(
-    tmp_path: Path, error_mm: float, sideways_mm: float
-) -> None:
+    tmp_path, error_mm, sideways_mm
+):
     made, stage = mistaken(error_mm, sideways_mm)
     outcome = record(made, plan(), tmp_path / "run")
     assert (outcome.state, outcome.reason) == (State.FAILED, Reason.TOUCHED_EARLY), outcome.message
@@ -169,7 +168,7 @@ def test_a_session_that_begins_in_the_skin_does_not_go_deeper_or_aside(tmp_path:
     made, stage = mistaken(0.0)
     start = stage.position_m()
     stage.error_m = (0.0, 0.0, 1.0 * MM - start[2])
-    made.stage._stage.move_to((start[0], start[1], 1.0 * MM), 1 * MM)  # type: ignore[attr-defined]
+    made.stage._stage.move_to((start[0], start[1], 1.0 * MM), 1 * MM)
     while stage.moving():
         made.clock.sleep(0.01)
     outcome = record(made, plan(), tmp_path / "run")
@@ -249,12 +248,12 @@ def test_a_reopened_rig_knows_where_it_was_left_or_refuses(lab: LabFile) -> None
 )
 @pytest.mark.cases(2)
 def test_a_controller_of_another_scale_or_direction_than_the_rig_file_states_is_refused(
-    lab: LabFile, position: PositionFrom, turned: bool
-) -> None:
+    lab, position, turned
+):
     steps = [lab.stage.settings[number] for number in (100, 101, 102)]
     path = lab.write(stage={"steps_per_mm": steps})
     with closing(open_rig(path, supervised=False, position="reference")) as opened:
-        assert opened.stage.steps_per_mm == pytest.approx(steps)  # type: ignore[attr-defined]
+        assert opened.stage.steps_per_mm == pytest.approx(steps)
     path = lab.write(stage={"steps_per_mm": steps, "direction_mask": 0})
     number = 3 if turned else 102
     lab.stage.settings[number] = 4 if turned else 2 * steps[2]

@@ -4,7 +4,6 @@ name."""
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -126,9 +125,7 @@ def test_on_the_tactip_too_at_5_mm_s_under_a_coarse_sensor(kind: str, phase: str
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["force-stuck", "force-scaled", "force-held-back", "force-reversed"])
-def test_without_the_monitor_the_same_faults_are_pressed_on(
-    kind: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_the_monitor_the_same_faults_are_pressed_on(kind, monkeypatch):
     """The negative control: what is tested is the monitor, not the limits."""
     bench = palm(seed=3)
     go = palm_until(bench, "press")
@@ -152,9 +149,7 @@ def test_a_gentle_touch_finds_a_wrong_sign_and_a_dead_sensor_before_any_press(ki
 
 @pytest.mark.parametrize("relaxation", [((0.6, 0.1), (0.4, 2.0)), ((0.06, 0.2), (0.05, 5.0)), ()])
 @pytest.mark.cases(1)
-def test_healthy_presses_are_believed_on_lasting_skins_too(
-    relaxation: tuple[tuple[float, float], ...],
-) -> None:
+def test_healthy_presses_are_believed_on_lasting_skins_too(relaxation):
     bench = PressBench("palm", seed=2, variation=Variation(relaxation=relaxation))
     bench.touch()
     bench.stepped(3e-3, 0.25e-3, 0.2, back=True)
@@ -172,7 +167,7 @@ def test_a_line_that_waits_for_its_answer_makes_no_healthy_force_look_dead(waits
         bench.clock.sleep(waits_s)
         move_to(position_m, speed_m_s)
 
-    bench.rig.stage.move_to = late  # type: ignore[method-assign]
+    bench.rig.stage.move_to = late
     bench.seek()
     bench.depth(3e-3)
     assert bench.guard.position_m()[2] - (bench.motion.contact_m or 0.0) == pytest.approx(3e-3, abs=1e-6)
@@ -188,7 +183,7 @@ def block(bench: PressBench, before_s: float, after_s: float) -> None:
                 bench.clock.sleep(wait_s)
             then()
 
-    bench.rig.stage.move_to = blocked  # type: ignore[method-assign]
+    bench.rig.stage.move_to = blocked
 
 
 BLOCKED_S = [(0.0, 0.3), (0.5, 0.5), (0.0, 1.0)]
@@ -197,8 +192,8 @@ BLOCKED_S = [(0.0, 0.3), (0.5, 0.5), (0.0, 1.0)]
 @pytest.mark.parametrize(("before_s", "after_s"), BLOCKED_S)
 @pytest.mark.cases(1)
 def test_a_tool_that_gives_way_while_the_call_that_sends_the_stage_is_blocked_is_found_on_that_step(
-    before_s: float, after_s: float
-) -> None:
+    before_s, after_s
+):
     bench = palm(seed=3)
     go = palm_until(bench, "press")
     block(bench, before_s, after_s)
@@ -211,9 +206,7 @@ def test_a_tool_that_gives_way_while_the_call_that_sends_the_stage_is_blocked_is
 @pytest.mark.parametrize(("before_s", "after_s"), BLOCKED_S[:2])
 @pytest.mark.parametrize("relaxation", [(), ((0.06, 0.2), (0.05, 5.0)), ((0.6, 0.1), (0.4, 2.0))])
 @pytest.mark.cases(1)
-def test_a_blocked_call_makes_no_force_of_a_lasting_skin_look_dead(
-    before_s: float, after_s: float, relaxation: tuple[tuple[float, float], ...]
-) -> None:
+def test_a_blocked_call_makes_no_force_of_a_lasting_skin_look_dead(before_s, after_s, relaxation):
     bench = PressBench("palm", seed=2, variation=Variation(relaxation=relaxation))
     block(bench, before_s, after_s)
     bench.touch()
@@ -244,9 +237,7 @@ def cut(plan: Known, sensor: str) -> Known:
     [("palm", name) for name in ("layer", "palm-reduced", "palm-lateral", "palm-creep", "repeated", "slow")]
     + [("tactip", "tactip")],
 )
-def test_an_untroubled_rig_completes_the_plans_that_come_with_palpate(
-    tmp_path: Path, sensor: str, name: str
-) -> None:
+def test_an_untroubled_rig_completes_the_plans_that_come_with_palpate(tmp_path, sensor, name):
     rig = virtual_rig(sensor, seed=1)
     outcome = record(rig, cut(PLANS[name], sensor), tmp_path / "run")
     assert outcome.state is State.DONE, outcome.message

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -36,9 +35,7 @@ class BackdatedForce:
 
 @pytest.mark.parametrize("after_s", [1.0, 2.0, 3.0, 4.0])
 @pytest.mark.cases(1)
-def test_force_stamps_that_run_back_are_a_force_fault_and_the_probe_is_lifted(
-    tmp_path: Path, after_s: float
-) -> None:
+def test_force_stamps_that_run_back_are_a_force_fault_and_the_probe_is_lifted(tmp_path, after_s):
     one = near()
     backdated = BackdatedForce(one.force, CLOCK_NS + round(after_s * NS_PER_S), 1.0)
     outcome = record(replace(one, force=backdated), plan(), tmp_path / "run")

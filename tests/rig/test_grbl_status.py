@@ -31,9 +31,8 @@ def model(request):
 
 @pytest.mark.parametrize("spoilt", mostly_slow(list(SPOILT.values()), lambda i: i == 2), ids=SPOILT)
 @pytest.mark.cases(1)
-def test_a_descent_in_steps_arrives_whatever_is_lost_on_the_wire(grbl_bench, model, spoilt):
-    bench = grbl_bench(model, spoilt)
-    stage = bench.open()
+def test_a_descent_in_steps_arrives_whatever_is_lost_on_the_wire(grbl_open, model, spoilt):
+    bench, stage = grbl_open(model, spoilt)
     for i in range(1, 6):
         stage.move_to((-0.050, 0.050, 0.050 + i * 0.2e-3), 0.005)
         bench.arrive(stage)
@@ -44,9 +43,10 @@ def test_a_descent_in_steps_arrives_whatever_is_lost_on_the_wire(grbl_bench, mod
     assert stage.position_m()[0] * 1e3 == pytest.approx(bench.place_mm[0], abs=1e-3)
 
 
-def test_reports_that_are_late_by_seconds_end_no_descent(grbl_bench):
-    bench = grbl_bench(MODELS["Grbl 1.1h"], clock=MonotonicClock(), silence_s=30.0, still_s=60.0, stop_s=30.0)
-    stage = bench.open()
+def test_reports_that_are_late_by_seconds_end_no_descent(grbl_open):
+    bench, stage = grbl_open(
+        MODELS["Grbl 1.1h"], clock=MonotonicClock(), silence_s=30.0, still_s=60.0, stop_s=30.0
+    )
     bench.spoil(GrblFaults(late_every=25, late_s=1.2))
     for i in range(1, 4):
         stage.move_to((-0.050, 0.050, 0.050 + i * 0.2e-3), 0.005)
@@ -55,9 +55,8 @@ def test_reports_that_are_late_by_seconds_end_no_descent(grbl_bench):
     assert bench.firmware.wire.reports >= 25
 
 
-def test_what_was_lost_and_damaged_is_counted_and_told(grbl_bench):
-    bench = grbl_bench(MODELS["Grbl 1.1h"])
-    stage = bench.open()
+def test_what_was_lost_and_damaged_is_counted_and_told(grbl_open):
+    bench, stage = grbl_open(MODELS["Grbl 1.1h"])
     assert stage.health == ""
     bench.spoil(GrblFaults(lose_every=3, garble_every=4))
     for _ in range(12):
@@ -95,9 +94,8 @@ def test_status_is_asked_for_on_the_period_also_while_nobody_looks(grbl_bench):
     assert time.monotonic() - began >= 9 * 0.05  # and not more often
 
 
-def test_a_stage_that_is_gone_is_told_within_its_time_while_a_look_waits_for_nothing(grbl_bench):
-    bench = grbl_bench(MODELS["Grbl 1.1h"], clock=MonotonicClock(), silence_s=0.5, still_s=60.0)
-    stage = bench.open()
+def test_a_stage_that_is_gone_is_told_within_its_time_while_a_look_waits_for_nothing(grbl_open):
+    bench, stage = grbl_open(MODELS["Grbl 1.1h"], clock=MonotonicClock(), silence_s=0.5, still_s=60.0)
     stage.move_to((-0.001, 0.050, 0.050), 0.001)
     bench.wait(lambda: stage.position_m()[0] > -0.0499)
     bench.spoil(GrblFaults(silent=True))
@@ -115,9 +113,8 @@ def test_a_stage_that_is_gone_is_told_within_its_time_while_a_look_waits_for_not
     assert looks >= 5
 
 
-def test_a_stage_silent_for_less_than_its_time_goes_on(grbl_bench):
-    bench = grbl_bench(MODELS["Grbl 1.1h"], silence_s=30.0)
-    stage = bench.open()
+def test_a_stage_silent_for_less_than_its_time_goes_on(grbl_open):
+    bench, stage = grbl_open(MODELS["Grbl 1.1h"], silence_s=30.0)
     stage.move_to((-0.045, 0.050, 0.050), 0.010)
     bench.spoil(GrblFaults(silent=True))
     began = time.monotonic()
@@ -130,9 +127,8 @@ def test_a_stage_silent_for_less_than_its_time_goes_on(grbl_bench):
     assert stage.position_m()[0] == pytest.approx(-0.045, abs=1e-6)
 
 
-def test_a_silent_stage_that_takes_a_reset_keeps_its_place_and_can_be_lifted(grbl_bench):
-    bench = grbl_bench(MODELS["Grbl 1.1h"], silence_s=0.4)
-    stage = bench.open()
+def test_a_silent_stage_that_takes_a_reset_keeps_its_place_and_can_be_lifted(grbl_open):
+    bench, stage = grbl_open(MODELS["Grbl 1.1h"], silence_s=0.4)
     bench.move_to_speed(stage, (-0.030, 0.050, 0.050), 0.010)
     bench.spoil(GrblFaults(silent=True))
     stage._link.halt()
@@ -151,9 +147,8 @@ def test_a_silent_stage_that_takes_a_reset_keeps_its_place_and_can_be_lifted(grb
     assert bench.place_mm == pytest.approx((-50.0, -50.0, -49.0), abs=1e-4)
 
 
-def test_reports_that_come_in_a_burst_are_not_taken_for_now(grbl_bench):
-    bench = grbl_bench(MODELS["Grbl 1.1h"], clock=MonotonicClock(), silence_s=30.0, still_s=60.0)
-    stage = bench.open()
+def test_reports_that_come_in_a_burst_are_not_taken_for_now(grbl_open):
+    bench, stage = grbl_open(MODELS["Grbl 1.1h"], clock=MonotonicClock(), silence_s=30.0, still_s=60.0)
     link = stage._link
     with bench.terminal.lock:
         bench.firmware.wire._held_until_s = bench.terminal.now_s() + 0.6

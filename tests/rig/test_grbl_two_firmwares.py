@@ -16,7 +16,7 @@ import pytest
 from tests.refusals import refused
 from tests.rig.grbl_talk import PATIENCE_S, Talk, fake, simulator
 
-from palpate.core import DeviceError, MonotonicClock, RangeError
+from palpate.core import DeviceError, MonotonicClock
 from palpate.devices.check import check_stage
 from palpate.rig.real.grbl.grbl_link import RefusedError
 from palpate.rig.real.grbl.grbl_stage import GrblStage
@@ -25,9 +25,12 @@ from palpate.rig.real.grbl.grbl_supervisor import GrblSpec
 SETTINGS = ("$20=0", "$22=0", "$21=0", "$13=0", "$100=250", "$101=250", "$102=250")
 REPORTS = {"1.1h": "$10=1", "grblHAL": "$10=511"}
 MOTION = ("$120=50", "$121=50", "$122=50", "$110=1200", "$111=1200", "$112=1200", "$130=100", "$131=100")
-WHERE = {
-    f"{kind} {firmware}": (kind, firmware) for kind in ("fake", "real") for firmware in ("1.1h", "grblHAL")
-}
+WHERE = [
+    pytest.param((kind, firmware), id=f"{kind} {firmware}", marks=[pytest.mark.slow] * (kind == "fake"))
+    for kind in ("fake", "real")
+    for firmware in ("1.1h", "grblHAL")
+]
+"""On the fakes, tests of the driver in its own time keep the same laws in every run."""
 SHORT_JOGS = 100
 LATENCY_S = 0.05
 SPEED_M_S = 0.010
@@ -35,7 +38,7 @@ BOUND_MM = 10.0**2 / (2 * 50.0) + 10.0 * LATENCY_S + 0.02  # v^2/2a, v latency, 
 PATIENT = {"boot_s": 0.2, "reply_s": 20.0, "silence_s": 20.0, "still_s": 20.0, "stop_s": 20.0}
 
 
-@pytest.fixture(params=WHERE.values(), ids=WHERE)
+@pytest.fixture(params=WHERE)
 def where(request, tmp_path):
     """The port of a controller with plain settings and no homing, and which firmware it is."""
     kind, firmware = request.param
@@ -85,9 +88,8 @@ def test_it_jogs_to_its_targets(stage):
         assert stage.position_m() == pytest.approx(target, abs=1e-5)
 
 
-@pytest.mark.parametrize("target", [(0.045, 0.0, 0.0), (0.040, 0.020, -0.010)])
-@pytest.mark.cases(3)
-def test_a_stop_ends_within_its_bound_short_of_its_target(stage, target):
+def test_a_stop_ends_within_its_bound_short_of_its_target(stage):
+    target = (0.040, 0.020, -0.010)
     run_up(stage, target)
     before = counted_mm(stage)
     stage.stop()
@@ -98,17 +100,6 @@ def test_a_stop_ends_within_its_bound_short_of_its_target(stage, target):
     stage.move_to((0.0, 0.0, 0.0), 0.02)
     arrive(stage)
     assert stage.position_m() == pytest.approx((0.0, 0.0, 0.0), abs=1e-5)  # so no step was lost
-
-
-@pytest.mark.slow
-def test_twenty_stops_lose_no_step(stage):
-    for i in range(20):
-        stage.move_to((0.02, 0.0, 0.0) if i % 2 else (-0.02, 0.0, 0.0), 0.02)
-        time.sleep(0.02 * (i % 5))
-        stage.stop()
-    stage.move_to((0.0, 0.0, 0.0), 0.02)
-    arrive(stage)
-    assert counted_mm(stage) == pytest.approx(stage._session.mount.machine_mm((0.0, 0.0, 0.0)), abs=0.01)
 
 
 @pytest.mark.slow
@@ -123,7 +114,6 @@ def test_stops_of_short_jogs_at_random_lose_no_position(stage):
         assert stage.position_m()[0] == pytest.approx(counted_mm(stage)[0] / 1e3, abs=1e-6)
 
 
-@pytest.mark.cases(1)
 def test_a_door_command_in_a_jog_keeps_the_position(where):
     with GrblStage.open(spec(where[0], still_s=3.0)) as stage:
         stage.reference((0.0, 0.0, 0.0))
@@ -216,13 +206,6 @@ def test_a_reset_in_motion_is_an_alarm_and_loses_the_place(stage):
     arrive(stage)
 
 
-def test_homing_that_is_switched_off_is_refused_by_name(stage):
-    with pytest.raises(DeviceError, match="error:5"):
-        stage.home()
-    with pytest.raises(DeviceError):
-        stage.position_m()
-
-
 @pytest.mark.slow
 def test_homing_ends_homed_or_is_refused_with_the_place_unknown(where):
     path, _ = where
@@ -236,14 +219,6 @@ def test_homing_ends_homed_or_is_refused_with_the_place_unknown(where):
                 stage.position_m()
         else:
             assert math.dist(stage.position_m(), (0.0, 0.0, 0.0)) < 0.02
-
-
-def test_a_target_outside_the_host_s_limits_is_never_sent(stage):
-    before = counted_mm(stage)
-    for target in ((0.06, 0.0, 0.0), (0.0, 0.0, math.nan)):
-        with pytest.raises(RangeError):
-            stage.move_to(target, SPEED_M_S)
-    assert counted_mm(stage) == before
 
 
 def test_a_jog_beyond_the_firmware_s_own_travel_is_refused_without_an_alarm(where):

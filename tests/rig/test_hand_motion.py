@@ -173,7 +173,7 @@ def test_the_check_of_a_rig_goes_no_lower_than_where_its_probe_stands() -> None:
         move_to(target, speed_m_s)  # of which some are refused, as they have to be
         lowest_m = max(lowest_m, target[2])
 
-    rig.stage.move_to = followed  # type: ignore[method-assign]
+    rig.stage.move_to = followed
     check_rig(rig)
     assert lowest_m <= start_m + 1e-9
 
@@ -316,7 +316,7 @@ class Pushed:
 def test_a_push_by_hand_shows_that_the_sensor_responds_once_it_is_over(push_n: float, end_s: float) -> None:
     rig = virtual_rig()
     start_ns = rig.clock.now_ns()
-    found = await_push(Pushed(rig, push_n, 2.0, end_s), rig.clock, 2)  # type: ignore[arg-type]
+    found = await_push(Pushed(rig, push_n, 2.0, end_s), rig.clock, 2)
     assert found[2] == pytest.approx(push_n, abs=0.05)
     assert end_s - 0.2 < (rig.clock.now_ns() - start_ns) / NS_PER_S < end_s + 2.0
 
@@ -327,7 +327,7 @@ def test_a_touch_off_after_a_push_states_the_position_of_the_skin() -> None:
     rig.stage.move_to((0.0, 0.0, -2e-3), 5e-3)
     while rig.stage.moving():
         rig.clock.sleep(0.01)
-    touch_off(Hand(stage, Pushed(rig, 1.0, 1.0, 2.0), *devices(rig)[2:]), (0.0, 0.0, 0.0))  # type: ignore[arg-type]
+    touch_off(Hand(stage, Pushed(rig, 1.0, 1.0, 2.0), *devices(rig)[2:]), (0.0, 0.0, 0.0))
     assert stage.stated_m == pytest.approx((0.0, 0.0, -2e-3))
     assert rig.stage.position_m()[2] == pytest.approx(-2e-3, abs=0.2e-3)
 
@@ -364,7 +364,7 @@ def test_a_change_of_force_that_is_no_push_along_the_press_moves_nothing(kind: s
     rig = virtual_rig()
     start = rig.stage.position_m()
     with pytest.raises(Tripped) as refusal:
-        touch_off(Hand(Switched(rig), Disturbed(rig, kind), *devices(rig)[2:]), (0.0, 0.0, 0.0))  # type: ignore[arg-type]
+        touch_off(Hand(Switched(rig), Disturbed(rig, kind), *devices(rig)[2:]), (0.0, 0.0, 0.0))
     assert refusal.value.reason is reason
     assert rig.stage.position_m() == start
 
@@ -403,15 +403,13 @@ class TurnedStage(Switched):
 
 
 @pytest.mark.parametrize(("n_m", "most_mm"), [(500.0, 2.5), (4000.0, 0.6), (-1000.0, 10.5), (-4000.0, 3.0)])
-def test_a_lift_that_leads_into_a_soft_skin_is_stopped_by_the_whole_change(
-    n_m: float, most_mm: float
-) -> None:
+def test_a_lift_that_leads_into_a_soft_skin_is_stopped_by_the_whole_change(n_m, most_mm):
     rig = virtual_rig()
     rig.stage.move_to((0.0, 0.0, -0.2e-3), 5e-3)
     while rig.stage.moving():
         rig.clock.sleep(0.01)
     with pytest.raises(Tripped) as refusal:
-        lift_clear(Hand(TurnedStage(rig), SoftSkin(rig, n_m), rig.mounting, rig.clock))  # type: ignore[arg-type]
+        lift_clear(Hand(TurnedStage(rig), SoftSkin(rig, n_m), rig.mounting, rig.clock))
     assert refusal.value.reason is Reason.FORCE_LIMIT
     assert rig.stage.position_m()[2] * 1e3 < most_mm
 
@@ -437,6 +435,6 @@ def test_a_knock_in_a_search_gives_no_position() -> None:
     with pytest.raises(Tripped) as refusal:
         touch_off(
             Hand(Referenced(rig), Knocked(rig, 4000.0), *devices(rig)[2:]), (0.0, 0.0, 0.0), pushed=False
-        )  # type: ignore[arg-type]
+        )
     assert refusal.value.reason in (Reason.FORCE_NOISE, Reason.NO_CONTACT)
     assert rig.stage.position_m()[2] < -1e-3, "lifted again"

@@ -6,7 +6,6 @@ import itertools
 import threading
 import time
 from contextlib import closing
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -62,11 +61,8 @@ def free(bench: Any) -> None:
 
 @pytest.mark.parametrize("firmware", FIRMWARES)
 @pytest.mark.parametrize("which", INPUTS)
-def test_an_input_of_the_stages_own_ends_a_guarded_motion_by_its_own_name(
-    grbl_bench: Any, firmware: str, which: str
-) -> None:
-    bench = grbl_bench(GrblParameters(homed=True, firmware=firmware))
-    stage = bench.open()
+def test_an_input_of_the_stages_own_ends_a_guarded_motion_by_its_own_name(grbl_open, firmware, which):
+    bench, stage = grbl_open(GrblParameters(homed=True, firmware=firmware))
     x, y, z = stage.position_m()
     limits = Limits((x - 0.04, y - 0.04, z - 0.04), (x + 0.04, y + 0.04, z + 0.04), overshoot_m=1e-3)
     guard = MotionGuard(
@@ -107,11 +103,8 @@ def test_a_stage_whose_door_is_open_is_not_opened_and_says_why(grbl_bench: Any, 
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES)
-def test_the_control_a_stop_that_the_computer_asked_for_is_no_hardware_stop(
-    grbl_bench: Any, firmware: str
-) -> None:
-    bench = grbl_bench(GrblParameters(homed=True, firmware=firmware))
-    stage = bench.open()
+def test_the_control_a_stop_that_the_computer_asked_for_is_no_hardware_stop(grbl_open, firmware):
+    bench, stage = grbl_open(GrblParameters(homed=True, firmware=firmware))
     x, y, z = stage.position_m()
     for _ in range(5):
         bench.move_to_speed(stage, (x + 0.02, y, z), 0.01)
@@ -130,8 +123,8 @@ def test_the_control_a_stop_that_the_computer_asked_for_is_no_hardware_stop(
 @pytest.mark.slow
 @pytest.mark.parametrize("firmware", FIRMWARES)
 def test_a_door_opened_in_a_recording_is_in_its_events_and_nothing_moves_after_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, firmware: str
-) -> None:
+    tmp_path, monkeypatch, firmware
+):
     settings = {1: 255, 120: 500, 121: 500, 122: 500}
     model = GrblParameters(homed=True, start_mm=(-50.0, -50.0, -20.0), settings=settings, firmware=firmware)
     with lab_file(tmp_path, model=model) as lab:

@@ -63,7 +63,7 @@ class Stage:
 def test_a_change_of_force_stops_homing(sign: float) -> None:
     stage = Stage()
     with pytest.raises(Tripped) as caught:
-        home_watched(stage, Force(lambda s: sign * 4.0 * max(s - 0.5, 0.0)), MonotonicClock())  # type: ignore[arg-type]
+        home_watched(stage, Force(lambda s: sign * 4.0 * max(s - 0.5, 0.0)), MonotonicClock())
     assert caught.value.code == Reason.FORCE_LIMIT
     assert stage.stopped.is_set()
 
@@ -71,21 +71,20 @@ def test_a_change_of_force_stops_homing(sign: float) -> None:
 def test_a_sensor_that_falls_silent_stops_homing() -> None:
     stage, force = Stage(), Force(lambda s: 0.0)
     whole = force.drain
-    force.drain = lambda: [one for one in whole() if one.time_ns - force._began_ns < 0.4e9]  # type: ignore[method-assign]
+    force.drain = lambda: [one for one in whole() if one.time_ns - force._began_ns < 0.4e9]
     with pytest.raises(Tripped) as caught:
-        home_watched(stage, force, MonotonicClock())  # type: ignore[arg-type]
+        home_watched(stage, force, MonotonicClock())
     assert caught.value.code == Reason.FORCE_STALE
 
 
 def test_homing_in_the_air_goes_on() -> None:
     stage = Stage()
-    home_watched(stage, Force(lambda s: 0.2), MonotonicClock())  # type: ignore[arg-type]
+    home_watched(stage, Force(lambda s: 0.2), MonotonicClock())
     assert not stage.stopped.is_set()
 
 
-def test_a_pull_off_beyond_the_lift_before_homing_is_refused(grbl_bench) -> None:
-    bench = grbl_bench(GrblParameters(homed=True, settings={27: 20}))
-    stage = bench.open(known=False)
+def test_a_pull_off_beyond_the_lift_before_homing_is_refused(grbl_open) -> None:
+    bench, stage = grbl_open(GrblParameters(homed=True, settings={27: 20}), known=False)
     with refused("homing-pull-off", DeviceError):
         stage.home()
     assert b"$H" not in bench.received

@@ -70,9 +70,7 @@ def killed_in_a_process(kills: int, folder: Path) -> dict[str, Any]:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="kills by another process's processor time")
 @pytest.mark.parametrize("kills", [4, pytest.param(1000, marks=pytest.mark.slow)])
-def test_a_run_killed_at_any_moment_goes_on_by_the_same_call_to_its_plan_exactly(
-    tmp_path: Path, kills: int
-) -> None:
+def test_a_run_killed_at_any_moment_goes_on_by_the_same_call_to_its_plan_exactly(tmp_path, kills):
     met = killed_in_a_process(kills, tmp_path)
     assert met["wrong"] == []
     assert met["kills"] == kills

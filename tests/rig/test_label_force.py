@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import pytest
 from tests.refusals import refused
 from tests.rig.rigs import near, quick
 
@@ -15,6 +16,7 @@ from palpate.rig import State, record
 from palpate.rig.label_force import LABEL_FORCE
 from palpate.rig.rig_check import check_rig
 
+pytestmark = pytest.mark.usefixtures("coarse_looks")
 SMALL = quick(frames=2)
 PRELOAD_N = 3.0  # of the specimen on the scale, which the tare takes off
 

@@ -57,4 +57,4 @@ def test_a_run_of_another_plan_says_nothing_of_the_layer(tmp_path: Path) -> None
 )
 def test_places_that_tell_nothing_are_refused(change: dict[str, float], said: str) -> None:
     with refused(said, InputError):
-        Around(kind="around", **change).places()  # type: ignore[arg-type]
+        Around(kind="around", **change).places()

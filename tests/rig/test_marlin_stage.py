@@ -113,6 +113,15 @@ def bench():
         yield make
 
 
+@pytest.fixture
+def opened(bench):
+    def make(*args, known: bool = True, **spec):
+        one = bench(*args, **spec)
+        return one, one.open(known=known)
+
+    return make
+
+
 def mm(sensor_m):
     return sensor_m[0] * 1e3, -sensor_m[1] * 1e3, -sensor_m[2] * 1e3
 
@@ -161,9 +170,8 @@ def test_settings_of_either_age_are_read(endstops) -> None:
     assert not MarlinMachine.read(settings, endstops, ["Cap:EMERGENCY_PARSER:0"]).emergency_parser
 
 
-def test_it_goes_where_it_is_sent(bench) -> None:
-    one = bench()
-    stage = one.open()
+def test_it_goes_where_it_is_sent(opened) -> None:
+    one, stage = opened()
     assert isinstance(stage, Stage)
     assert stage.position_m() == pytest.approx(START)
     for target in ((0.002, -0.001, 0.0021), (-0.0012, 0.0013, -0.0006), START):
@@ -175,9 +183,8 @@ def test_it_goes_where_it_is_sent(bench) -> None:
 
 
 @pytest.mark.parametrize("parser", [True, False])
-def test_a_stop_ends_within_the_overshoot_bound_at_a_known_place(bench, parser) -> None:
-    one = bench(MarlinParameters(emergency_parser=parser))
-    stage = one.open()
+def test_a_stop_ends_within_the_overshoot_bound_at_a_known_place(opened, parser) -> None:
+    one, stage = opened(MarlinParameters(emergency_parser=parser))
     assert stage.emergency_parser is parser
     one.to_speed(stage, (0.02, 0.0, 0.01))
     asked = one.gone_mm
@@ -209,25 +216,24 @@ def test_no_speed_is_allowed_from_which_a_stop_would_lose_steps(bench) -> None:
     assert bench(sudden_m_s=0.002).open().travel.top_speed_m_s == pytest.approx(0.002)
 
 
-def test_a_false_word_on_how_fast_it_may_stop_dead_loses_the_place_unseen(bench) -> None:
+def test_a_false_word_on_how_fast_it_may_stop_dead_loses_the_place_unseen(opened) -> None:
     """Negative control: the count cannot tell, so the word must be tried."""
-    one = bench(MarlinParameters(top_mm_s=(300.0, 300.0, 300.0)), sudden_m_s=0.02)
-    stage = one.open()
+    one, stage = opened(MarlinParameters(top_mm_s=(300.0, 300.0, 300.0)), sudden_m_s=0.02)
     one.to_speed(stage, (0.03, 0.0, 0.0), 0.02)
     stage.stop()
     assert abs(one.gone_mm[0] - stage.position_m()[0] * 1e3) > 1.0
 
 
-def test_a_stop_at_a_stand_sends_nothing(bench) -> None:
-    one = bench()
-    stage = one.open()
+def test_a_stop_at_a_stand_sends_nothing(opened) -> None:
+    one, stage = opened()
     stage.stop()
     assert b"M410" not in bytes(one.firmware.received)
 
 
-def test_homing_takes_as_long_as_it_says_that_it_is_busy(bench) -> None:
-    one = bench(MarlinParameters(homing_s=30.0), clock=FastClock(20.0), least_m=None, greatest_m=None)
-    stage = one.open(known=False)
+def test_homing_takes_as_long_as_it_says_that_it_is_busy(opened) -> None:
+    one, stage = opened(
+        MarlinParameters(homing_s=30.0), clock=FastClock(20.0), least_m=None, greatest_m=None, known=False
+    )
     with pytest.raises(DeviceError, match="not known"):
         stage.position_m()
     stage.home()
@@ -256,9 +262,8 @@ def test_a_machine_that_wants_homing_first_is_told(bench) -> None:
         stage.move_to((0.001, 0, 0), SPEED)
 
 
-def test_a_build_that_tells_its_place_only_at_the_end_is_refused(bench) -> None:
-    one = bench(MarlinParameters(legacy_m114=True), clock=FastClock(5.0), reply_s=10.0)
-    stage = one.open()
+def test_a_build_that_tells_its_place_only_at_the_end_is_refused(opened) -> None:
+    one, stage = opened(MarlinParameters(legacy_m114=True), clock=FastClock(5.0), reply_s=10.0)
     for target in (0.002, 0.0):
         stage.move_to((target, 0.0, 0.0), SPEED)
         one.arrive(stage)
@@ -287,9 +292,8 @@ def test_a_build_that_tells_its_place_only_at_the_end_is_refused(bench) -> None:
     ],
 )
 @pytest.mark.cases(2)
-def test_lost_and_damaged_lines_cost_time_and_no_move_and_no_place(bench, faults) -> None:
-    one = bench(reply_s=0.15)
-    stage = one.open()
+def test_lost_and_damaged_lines_cost_time_and_no_move_and_no_place(opened, faults) -> None:
+    one, stage = opened(reply_s=0.15)
     one.spoil(faults)
     for target in ((0.0005, 0.0, 0.0), (0.0005, 0.0002, 0.0), START):
         stage.move_to(target, SPEED)
@@ -299,9 +303,8 @@ def test_lost_and_damaged_lines_cost_time_and_no_move_and_no_place(bench, faults
 
 
 @pytest.mark.parametrize("quiet", [False, True])
-def test_a_restart_in_motion_is_told_and_nothing_old_is_sent_again(bench, quiet) -> None:
-    one = bench(faults=MarlinFaults(restart_after_mm=1.0, quiet_start=quiet), reply_s=1.0)
-    stage = one.open()
+def test_a_restart_in_motion_is_told_and_nothing_old_is_sent_again(opened, quiet) -> None:
+    one, stage = opened(faults=MarlinFaults(restart_after_mm=1.0, quiet_start=quiet), reply_s=1.0)
     stage.move_to((0.01, 0.0, 0.0), SPEED)
     said = one.fails(stage.moving)
     assert "restarted" in said
@@ -317,9 +320,8 @@ def test_a_restart_in_motion_is_told_and_nothing_old_is_sent_again(bench, quiet)
     assert one.gone_mm[0] - where[0] == pytest.approx(1.0, abs=2 * STEP_MM)
 
 
-def test_a_port_that_goes_is_told_and_the_stage_goes_on_by_one_move_at_most(bench) -> None:
-    one = bench()
-    stage = one.open()
+def test_a_port_that_goes_is_told_and_the_stage_goes_on_by_one_move_at_most(opened) -> None:
+    one, stage = opened()
     one.to_speed(stage, (0.005, 0.0, 0.0))
     one.terminal.unplug()
     assert "may still" in one.fails(stage.moving)
@@ -327,33 +329,29 @@ def test_a_port_that_goes_is_told_and_the_stage_goes_on_by_one_move_at_most(benc
     assert one.gone_mm[0] == pytest.approx(5.0, abs=STEP_MM)
 
 
-def test_a_stage_that_stands_short_of_its_target_is_told(bench) -> None:
-    one = bench(faults=MarlinFaults(stuck_after_mm=1.0), still_s=1.0)
-    stage = one.open()
+def test_a_stage_that_stands_short_of_its_target_is_told(opened) -> None:
+    one, stage = opened(faults=MarlinFaults(stuck_after_mm=1.0), still_s=1.0)
     stage.move_to((0.005, 0.0, 0.0), SPEED)
     assert "has stopped" in one.fails(stage.moving)
 
 
-def test_a_count_that_jumps_is_told_and_the_place_lost(bench) -> None:
-    one = bench(faults=MarlinFaults(jump_after_mm=1.0, jump_mm=(0.0, 0.5, 0.0)))
-    stage = one.open()
+def test_a_count_that_jumps_is_told_and_the_place_lost(opened) -> None:
+    one, stage = opened(faults=MarlinFaults(jump_after_mm=1.0, jump_mm=(0.0, 0.5, 0.0)))
     stage.move_to((0.005, 0.0, 0.0), SPEED)
     assert "off its" in one.fails(stage.moving)
     with refused("position-lost", DeviceError):
         stage.position_m()
 
 
-def test_a_controller_that_says_nothing_is_told(bench) -> None:
-    one = bench(reply_s=0.1)
-    stage = one.open()
+def test_a_controller_that_says_nothing_is_told(opened) -> None:
+    one, stage = opened(reply_s=0.1)
     one.spoil(MarlinFaults(mute=True))
     with refused("silence", DeviceError):
         stage.position_m()
 
 
-def test_a_stop_that_is_not_heeded_is_no_stop(bench) -> None:
-    one = bench(faults=MarlinFaults(ignores_stop=True), stop_s=1.0)
-    stage = one.open()
+def test_a_stop_that_is_not_heeded_is_no_stop(opened) -> None:
+    one, stage = opened(faults=MarlinFaults(ignores_stop=True), stop_s=1.0)
     one.to_speed(stage, (0.04, 0.0, 0.0))
     done: list[BaseException] = []
 
@@ -371,9 +369,8 @@ def test_a_stop_that_is_not_heeded_is_no_stop(bench) -> None:
     assert one.gone_mm[0] < 39.0
 
 
-def test_a_stage_that_runs_to_its_target_after_the_stop_is_no_stop(bench) -> None:
-    one = bench(faults=MarlinFaults(ignores_stop=True), clock=FastClock(5.0), stop_s=100.0)
-    stage = one.open()
+def test_a_stage_that_runs_to_its_target_after_the_stop_is_no_stop(opened) -> None:
+    one, stage = opened(faults=MarlinFaults(ignores_stop=True), clock=FastClock(5.0), stop_s=100.0)
     one.to_speed(stage, (0.01, 0.0, 0.0))
     with pytest.raises(DeviceError, match="ran on"):
         stage.stop()
@@ -386,9 +383,10 @@ def test_what_is_no_marlin_is_refused(bench) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("parser", "speed_m_s"), [(True, 3.5e-3), (False, 1.5e-3)])
-def test_the_marlin_driver_keeps_every_law_of_a_stage(bench, parser, speed_m_s) -> None:
-    one = bench(MarlinParameters(emergency_parser=parser), clock=MonotonicClock(), still_s=5.0, stop_s=5.0)
-    stage = one.open()
+def test_the_marlin_driver_keeps_every_law_of_a_stage(opened, parser, speed_m_s) -> None:
+    one, stage = opened(
+        MarlinParameters(emergency_parser=parser), clock=MonotonicClock(), still_s=5.0, stop_s=5.0
+    )
     half = 5e-3
     box = ((-half, -half, -half), (half, half, half))
     found = check_stage(stage, clock=one.clock, region_m=box, speed_m_s=speed_m_s)
@@ -414,9 +412,8 @@ def test_a_rig_s_file_opens_it_at_its_reference_only_on_confirmation(bench) -> N
         RigFile.model_validate({"name": "bench", "stage": fields | limits | {"home": True}})
 
 
-def test_a_stage_that_knows_no_place_still_lifts_away_from_the_skin(bench) -> None:
-    one = bench()
-    stage = one.open(known=False)
+def test_a_stage_that_knows_no_place_still_lifts_away_from_the_skin(opened) -> None:
+    one, stage = opened(known=False)
     stage.retreat(2e-3, SPEED)
     one.arrive(stage)
     assert one.gone_mm == pytest.approx((0.0, 0.0, 2.0), abs=STEP_MM)  # its -Z leads into the skin

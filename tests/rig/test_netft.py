@@ -181,7 +181,7 @@ def test_a_box_that_did_not_hear_is_asked_again_to_stop(box: FakeNetFT) -> None:
 )
 def test_settings_that_mean_nothing_are_refused(wrong: dict[str, object]) -> None:
     with refused("settings-range", RangeError):
-        NetFTSettings(**wrong)  # type: ignore[arg-type]
+        NetFTSettings(**wrong)
 
 
 def test_a_silence_shorter_than_three_records_is_refused(box: FakeNetFT) -> None:

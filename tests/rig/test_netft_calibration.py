@@ -160,9 +160,7 @@ def test_any_bytes_are_a_page_or_a_protocol_error(junk: bytes) -> None:
 
 
 @given(st.data())
-def test_a_page_with_changed_bytes_gives_finite_positive_numbers_or_a_protocol_error(
-    data: st.DataObject,
-) -> None:
+def test_a_page_with_changed_bytes_gives_finite_positive_numbers_or_a_protocol_error(data):
     raw = bytearray(page(cfgmr="330;330;990;30;30;30", comrdtrate="500"))
     for _ in range(data.draw(st.integers(1, 3))):
         raw[data.draw(st.integers(0, len(raw) - 1))] = data.draw(st.integers(0, 255))

@@ -211,12 +211,10 @@ def test_every_other_status_bit_ends_the_stream_and_is_named(box: FakeNetFT, bit
         {"bias": "1;0;0;0;0;0"},
     ],
 )
-def test_a_box_that_comes_back_with_another_calibration_is_refused_for_good(
-    box: FakeNetFT, changed: dict[str, object]
-) -> None:
+def test_a_box_that_comes_back_with_another_calibration_is_refused_for_good(box, changed):
     quick = replace(watchful(box), recovery="reconnect", retry_s=(0.01, 0.02))
     with NetFT(box.host, quick) as sensor:
-        box.page = replace(box.page, **changed)  # type: ignore[arg-type]
+        box.page = replace(box.page, **changed)
         box.status = 1 << 2
         until(lambda: "changed" in failure(sensor))
         box.status, box.page = 0, FakePage()
@@ -382,8 +380,8 @@ def test_nothing_but_start_and_stop_is_ever_asked(box: FakeNetFT) -> None:
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
 def test_a_receiving_thread_that_ends_by_a_mistake_does_not_leave_an_old_sample_as_the_newest(
-    box: FakeNetFT, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    box, monkeypatch
+):
     with NetFT(box.host, patient(box)) as sensor:
 
         def mistake(*_: object) -> None:

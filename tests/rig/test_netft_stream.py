@@ -104,9 +104,7 @@ def test_what_is_not_whole_records_is_refused(size: int) -> None:
 
 
 @pytest.mark.parametrize(("bit", "name"), BITS.items())
-def test_every_status_bit_is_named_and_none_but_the_users_own_threshold_is_healthy(
-    bit: int, name: str
-) -> None:
+def test_every_status_bit_is_named_and_none_but_the_users_own_threshold_is_healthy(bit, name):
     for status in (1 << bit, 1 << 31 | 1 << bit):
         assert name in status_text(status)
         assert is_healthy(status) == (status == 0x80010000)
@@ -140,9 +138,7 @@ def test_a_stale_record_does_not_make_the_next_one_a_loss() -> None:
 
 
 @given(U32, st.lists(st.integers(0, 1000), min_size=1, max_size=60))
-def test_every_record_is_accepted_duplicate_or_out_of_order_and_the_rest_of_the_span_is_lost(
-    first: int, steps: list[int]
-) -> None:
+def test_every_record_is_accepted_duplicate_or_out_of_order_and_the_rest_of_the_span_is_lost(first, steps):
     sequence, accepted = RdtSequence(), []
     for step in steps:
         if sequence.accept((first + step) % 2**32):

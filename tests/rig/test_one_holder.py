@@ -67,9 +67,7 @@ def test_names_of_one_device_are_one(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert camera_named(0) == camera_named("/dev/video0") != camera_named(1)
 
 
-def test_a_port_by_its_path_a_link_and_its_adapters_serial_number_is_one_port(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_port_by_its_path_a_link_and_its_adapters_serial_number_is_one_port(tmp_path, monkeypatch):
     class Listed:
         serial_number = "A50285BI"
 
@@ -108,9 +106,7 @@ def test_a_box_serves_one_client_and_a_second_one_leaves_its_stream_alone(tmp_pa
         ("rig", "jog", "--axis", "x", "--mm", "1"),
     ],
 )  # fmt: skip
-def test_a_second_programme_on_a_rig_in_use_is_refused_with_the_pid_and_moves_nothing(
-    tmp_path: Path, words: tuple[str, ...]
-) -> None:
+def test_a_second_programme_on_a_rig_in_use_is_refused_with_the_pid_and_moves_nothing(tmp_path, words):
     with lab_file(tmp_path) as lab:
         file = lab.write()
         with closing(open_rig(file)) as rig:
@@ -143,8 +139,8 @@ time.sleep(60)
 
 @pytest.mark.parametrize("manner", ["hears", "deaf"])
 def test_a_stop_ends_whoever_has_the_port_then_stops_the_stage_or_says_that_it_could_not(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, manner: str
-) -> None:
+    tmp_path, monkeypatch, manner
+):
     monkeypatch.setattr(bench, "LET_GO_S", 1.0 if manner == "deaf" else 20.0)
     with lab_file(tmp_path) as lab, subprocess.Popen(
         [sys.executable, "-c", HOLDER, lab.terminal.path, manner],

@@ -49,9 +49,7 @@ def test_a_press_tares_in_the_air_finds_contact_and_then_goes_down_step_by_step(
 
 
 @given(done=st.lists(st.tuples(st.integers(0, 5), st.integers(0, 2)), max_size=20), unloading=st.booleans())
-def test_a_resumed_press_records_what_is_missing_and_nothing_else(
-    done: list[tuple[int, int]], unloading: bool
-) -> None:
+def test_a_resumed_press_records_what_is_missing_and_nothing_else(done, unloading):
     plan = StepHold(depth_mm=0.3, cycles=1, frames=3, reference_frames=2, unloading=unloading)
     press = next(plan.presses())
     shots = plan.shots(press)

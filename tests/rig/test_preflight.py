@@ -63,9 +63,7 @@ def test_a_rig_whose_devices_give_what_they_state_is_ready(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize(("status", "said"), [(ANALOG, "analog board"), (COLD, "excitation low")])
-def test_a_force_box_that_reports_its_load_missing_is_named_as_it_is_opened(
-    tmp_path: Path, status: int, said: str
-) -> None:
+def test_a_force_box_that_reports_its_load_missing_is_named_as_it_is_opened(tmp_path, status, said):
     with lab_file(tmp_path) as lab:
         lab.box.status = status
         message = rejects(lab, tmp_path / "run")
@@ -104,9 +102,7 @@ def _slow(lab: LabFile) -> None:
         (_slow, r"force-slow: .*gave \d\d\.\d samples/s, and 500 are stated"),
     ],
 )
-def test_a_force_box_with_its_load_unplugged_is_named_before_the_first_motion(
-    tmp_path: Path, spoil: Callable[[LabFile], None], said: str
-) -> None:
+def test_a_force_box_with_its_load_unplugged_is_named_before_the_first_motion(tmp_path, spoil, said):
     with lab_file(tmp_path) as lab:
         found = spoiled(lab, tmp_path / "run", spoil)
     assert re.match(said, found), found
@@ -133,7 +129,7 @@ def test_a_camera_that_gives_every_frame_twice_is_named_with_its_repeats(tmp_pat
                 source.repeat()
             return take()
 
-        source.retrieve = twice  # type: ignore[method-assign]
+        source.retrieve = twice
         message = rejects(lab, tmp_path / "run")
     assert "new frames/s" in message
     assert "20 are" in message
@@ -155,17 +151,13 @@ def test_a_camera_that_gives_every_frame_twice_is_named_with_its_repeats(tmp_pat
         lambda i: i in (0, 4),
     ),
 )
-def test_a_file_that_promises_more_than_its_devices_do_is_refused_with_both_numbers(
-    tmp_path: Path, tables: dict[str, dict[str, object]], said: str
-) -> None:
+def test_a_file_that_promises_more_than_its_devices_do_is_refused_with_both_numbers(tmp_path, tables, said):
     with lab_file(tmp_path) as lab:
         message = rejects(lab, tmp_path / "run", **tables)
     assert re.search(said, message), message
 
 
-def test_a_plan_faster_than_the_stages_acceleration_allows_is_refused_with_both_numbers(
-    tmp_path: Path,
-) -> None:
+def test_a_plan_faster_than_the_stages_acceleration_allows_is_refused_with_both_numbers(tmp_path):
     places = Listed(kind="listed", at_mm=((0.0, 0.0),))
     fast = StepHold(name="fast", places=places, depth_mm=0.4, step_mm=0.2, press_mm_s=15.0, taps=0)
     with (
@@ -201,8 +193,8 @@ def test_the_computers_sleep_trips_once_and_steps_of_no_other_clock_do() -> None
 
 @pytest.mark.slow
 def test_a_small_plan_on_the_lab_is_done_and_one_through_which_the_computer_slept_stops_and_lifts(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    tmp_path, monkeypatch
+):
     with lab_file(tmp_path) as lab:
         monkeypatch.setitem(LABS, "lab", lab)
         kind = "tests.rig.test_rig_setup:LabForce"  # on a busy machine the box's thread sends late

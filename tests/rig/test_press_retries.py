@@ -118,8 +118,8 @@ def recorded(
 )
 @pytest.mark.cases(1)
 def test_a_press_with_a_transient_fault_is_repeated_and_its_first_attempt_void(
-    tmp_path: Path, how: str, seconds: float, reasons: set[Reason]
-) -> None:
+    tmp_path, how, seconds, reasons
+):
     outcome, _ = recorded(tmp_path / "run", how, seconds)
     assert outcome.state is State.DONE, outcome
     assert outcome.retries == 1
@@ -134,7 +134,7 @@ def test_a_press_with_a_transient_fault_is_repeated_and_its_first_attempt_void(
     assert sorted(keys(run)) == sorted(wanted(SMALL)), "each frame once"
     labels = run.labels
     valid = labels["approach"][labels["shot"].notna()]
-    assert not set(valid) & set(event["approaches"])  # type: ignore[call-overload]
+    assert not set(valid) & set(event["approaches"])
     assert check(run.path).sound
     with pytest.raises(InputError):
         stiffness_of(run)  # of presses without a fault alone
@@ -146,9 +146,7 @@ def test_a_press_with_a_transient_fault_is_repeated_and_its_first_attempt_void(
     ids=["none", "per press", "per session"],
 )
 @pytest.mark.cases(2)
-def test_retries_end_at_their_limits_with_the_fault_s_code(
-    tmp_path: Path, limits: RetryLimits, attempts: int
-) -> None:
+def test_retries_end_at_their_limits_with_the_fault_s_code(tmp_path, limits, attempts):
     out = tmp_path / "run"
     outcome, _ = recorded(out, "late", 0.045, times=99, limits=limits)
     assert (outcome.state, outcome.reason) == (State.FAILED, Reason.FORCE_LATE)
@@ -185,7 +183,7 @@ def test_a_sweep_without_frames_for_a_while_is_repeated_and_its_frames_void(tmp_
     run = Run.open(tmp_path / "run")
     (event,) = fields_of(run, REJECTED)
     labels = run.labels[run.labels["shot"].notna()]
-    assert set(labels["approach"]).isdisjoint(event["approaches"])  # type: ignore[call-overload]
+    assert set(labels["approach"]).isdisjoint(event["approaches"])
     numbers = labels["frame_in_shot"][labels["phase"] == "sweep"].astype(int)
     assert list(numbers) == list(range(len(numbers))), "one sweep, from its first frame to its last"
 

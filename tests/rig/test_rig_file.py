@@ -97,9 +97,7 @@ force_N = 12
         ),
     ],
 )
-def test_a_file_that_says_something_wrong_is_refused_by_name(
-    tmp_path: Path, text: str, code: str, named: str
-) -> None:
+def test_a_file_that_says_something_wrong_is_refused_by_name(tmp_path, text, code, named):
     with refused(code, InputError, match=named):
         open_rig(written(tmp_path, text))
 
@@ -131,9 +129,7 @@ def test_the_operators_page_opens_a_rig_by_its_file(tmp_path: Path) -> None:
     ("provenance", "simulated"),
     [(None, True), (Provenance.SIMULATED, True), (Provenance.MEASURED, False), (Provenance.DERIVED, False)],
 )
-def test_a_rig_is_simulated_where_a_device_of_it_is_virtual_and_so_are_its_runs(
-    provenance: Provenance | None, simulated: bool
-) -> None:
+def test_a_rig_is_simulated_where_a_device_of_it_is_virtual_and_so_are_its_runs(provenance, simulated):
     made = virtual_rig()
     rig = replace(made, origin="shear was not measured", provenance=provenance or made.provenance)
     assert rig.is_simulated == simulated
@@ -169,9 +165,7 @@ def test_a_device_that_is_missing_is_told_and_those_opened_before_are_closed(tmp
         ("step_mm", "2", "1"),
     ],
 )
-def test_a_limit_beyond_its_ceiling_is_refused_with_both_numbers(
-    tmp_path: Path, field: str, value: str, most: str
-) -> None:
+def test_a_limit_beyond_its_ceiling_is_refused_with_both_numbers(tmp_path, field, value, most):
     text = 'name = "x"\n[virtual]\n[limits]\nleast_mm = [-1, -1, -1]\ngreatest_mm = [1, 1, 1]\n'
     said = re.escape(f"{field} is {float(value):g}, and {most} is the greatest")
     with pytest.raises(InputError, match=said):
@@ -189,9 +183,7 @@ def test_a_limit_beyond_its_ceiling_is_refused_with_both_numbers(
         ('reference = "somewhere"', "reference"),
     ],
 )
-def test_a_stage_that_cannot_be_as_it_is_stated_is_refused_before_its_port_is_opened(
-    tmp_path: Path, said: str, named: str
-) -> None:
+def test_a_stage_that_cannot_be_as_it_is_stated_is_refused_before_its_port_is_opened(tmp_path, said, named):
     with refused("file-field", InputError, match=named):
         read_rig(Path(written(tmp_path, f'name = "x"\n[stage]\nkind = "grbl"\nport = "p"\n{said}')))
 
@@ -234,8 +226,8 @@ TOO_SMALL = [
 
 @pytest.mark.parametrize(("table", "field", "value", "unit"), TOO_SMALL)
 def test_a_value_too_small_to_record_with_is_refused_with_field_floor_and_unit(
-    tmp_path: Path, table: str, field: str, value: float, unit: str
-) -> None:
+    tmp_path, table, field, value, unit
+):
     text = REAL.format(rdt=1, http=1).replace(f"[{table}]\n", f"[{table}]\n{field} = {value}\n")
     path = tmp_path / "rig.toml"
     path.write_text(text)
@@ -268,9 +260,7 @@ def test_a_host_that_is_none_is_refused_by_its_field(tmp_path: Path, host: str) 
     ],
     ids=["least above greatest", "outside the travel", "force above the range"],
 )
-def test_limits_that_cannot_be_kept_are_refused_before_the_stage_is_homed(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, limits: dict[str, Any]
-) -> None:
+def test_limits_that_cannot_be_kept_are_refused_before_the_stage_is_homed(monkeypatch, tmp_path, limits):
     moved: list[str] = []
     one = virtual_rig()
     monkeypatch.setattr(opened_rig, "home_clear", lambda *_, **__: moved.append("homed"))

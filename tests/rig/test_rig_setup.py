@@ -180,9 +180,7 @@ def test_a_walk_through_the_setup_finds_sign_surface_and_scale_and_ends_in_the_c
 @pytest.mark.slow
 @pytest.mark.parametrize("answer", [{"still_there": False}, {"still_there": True}, {"hold_motors": True}])
 @pytest.mark.cases(1)
-def test_a_setup_of_a_stage_that_releases_its_motors_asks_before_it_believes_the_position(
-    tmp_path: Path, answer: dict[str, Any]
-) -> None:
+def test_a_setup_of_a_stage_that_releases_its_motors_asks_before_it_believes_the_position(tmp_path, answer):
     with lab(hold=25) as one:
         made, _, _ = walked(one, tmp_path / "rig.toml", mass_g=0, **answer)
         assert (one.bench.firmware.settings[1] == 255) is ("hold_motors" in answer)
@@ -191,9 +189,7 @@ def test_a_setup_of_a_stage_that_releases_its_motors_asks_before_it_believes_the
 
 
 @pytest.mark.parametrize("latency_s", [0.2, *(pytest.param(s, marks=pytest.mark.slow) for s in (0.01, 0.05))])
-def test_the_file_that_setup_writes_lets_a_plan_press_at_its_usual_speed(
-    tmp_path: Path, latency_s: float
-) -> None:
+def test_the_file_that_setup_writes_lets_a_plan_press_at_its_usual_speed(tmp_path, latency_s):
     with lab() as one:
         _, file, _ = walked(one, tmp_path / "rig.toml", may_move=False, mass_g=0, latency_s=latency_s)
         limits = LimitsPart(**file["limits"]).limits()

@@ -48,7 +48,7 @@ def scale(layout: str = "counts", sign: float = 1.0, rate_hz: float = 20.0) -> P
     Person.lies = False
     return PrintingScale(
         lambda t: sign * MASS_G * 1e-3 * G * Person.lies + random.gauss(0.0, 1e-3),
-        layout=layout,  # type: ignore[arg-type]
+        layout=layout,
         rate_hz=rate_hz,
         delay_s=0.0,
         count_n=COUNT_N,
@@ -67,9 +67,7 @@ LABEL = {"label_kind": "serial-scale", "label_rate_hz": 20.0, "label_delay_s": 0
 
 
 @pytest.mark.parametrize("sign", [-1.0, pytest.param(1.0, marks=pytest.mark.slow)])
-def test_a_known_weight_gives_the_force_of_a_labelling_cells_count_with_its_sign(
-    tmp_path: Path, sign: float
-) -> None:
+def test_a_known_weight_gives_the_force_of_a_labelling_cells_count_with_its_sign(tmp_path, sign):
     with lab() as one, served(scale(sign=sign)) as port:
         words = {"label_port": port, "label_unit": "counts", "label_weight_lies": True, "label_range_N": 20.0}
         file, said = walk(one, tmp_path / "rig.toml", **LABEL, **words)
@@ -141,9 +139,7 @@ def test_a_marlin_printer_with_a_fast_load_cell_is_written_and_opens(tmp_path: P
         rig.close()
 
 
-def test_a_person_who_answers_wrongly_is_asked_again_and_a_file_is_not(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_person_who_answers_wrongly_is_asked_again_and_a_file_is_not(capsys):
     def typed(*lines: str) -> Callable[[str], str]:
         rest = iter(lines)
         return lambda question: next(rest)

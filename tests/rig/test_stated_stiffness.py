@@ -47,7 +47,7 @@ RAMP = Ramp(
 def swept(out: Path, gain: float, *, stated: bool = True, seed: int = 1) -> tuple[Any, float]:
     """Record one press to a force under a gain; how far beyond the nominal depth it went [mm]."""
     sound = rig(variation=Variation(), seed=seed)
-    world = sound.stage._world  # type: ignore[attr-defined]
+    world = sound.stage._world
     ranges = {RAMP.indenters[0]: law_range(world, FACTOR)} if stated else {}
     force = AlteredForce(sound.force, sound.clock, gain=gain)
     there = replace(sound, force=force, stiffness=ranges)
@@ -60,9 +60,7 @@ def swept(out: Path, gain: float, *, stated: bool = True, seed: int = 1) -> tupl
 
 @pytest.mark.parametrize("gain", [0.5, 2.0])
 @pytest.mark.cases(1)
-def test_the_first_press_under_another_gain_is_stopped_before_its_nominal_depth(
-    tmp_path: Path, gain: float
-) -> None:
+def test_the_first_press_under_another_gain_is_stopped_before_its_nominal_depth(tmp_path, gain):
     outcome, beyond_mm = swept(tmp_path / "run", gain)
     assert (outcome.state, outcome.reason, outcome.shots) == (State.FAILED, Reason.STIFFNESS, 0)
     assert beyond_mm < 0.0
@@ -125,9 +123,7 @@ class TestRange:
             (9.0, (300.0, UNKNOWN_N_M)),
         ],
     )
-    def test_it_is_linear_between_its_forces_and_open_beyond(
-        self, force_n: float, expected: tuple[float, float]
-    ) -> None:
+    def test_it_is_linear_between_its_forces_and_open_beyond(self, force_n, expected):
         assert self.range.at(force_n) == pytest.approx(expected)
         assert StiffnessCorridor(self.range).stated_n_m(force_n) == pytest.approx(expected)
 

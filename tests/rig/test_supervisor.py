@@ -315,9 +315,7 @@ def test_anybody_of_the_same_user_may_stop_it_past_its_client(supervised) -> Non
 
 @pytest.mark.parametrize("name", ["SIGKILL", "SIGSTOP"])
 @pytest.mark.cases(1)
-def test_the_stop_command_reaches_the_stage_while_the_recording_process_is_dead_or_hangs(
-    supervised, name: str
-) -> None:
+def test_the_stop_command_reaches_the_stage_while_the_recording_process_is_dead_or_hangs(supervised, name):
     bench = supervised()
     with child(bench, MOVES) as client:
         client.send_signal(getattr(signal, name))

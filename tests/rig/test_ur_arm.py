@@ -259,10 +259,7 @@ def test_a_motion_found_under_way_is_stopped(bench) -> None:
 
 # What its safety system, its mode and its connection say.
 
-STOPS = {
-    "emergency stop": ((ROBOT_EMERGENCY, EMERGENCY), POWER_OFF),
-    "safeguard": ((SAFEGUARD,), 7),
-}
+STOPS = {"emergency stop": ((ROBOT_EMERGENCY, EMERGENCY), POWER_OFF), "safeguard": ((SAFEGUARD,), 7)}
 
 
 @pytest.mark.parametrize("name", STOPS)

@@ -77,9 +77,7 @@ def test_a_frame_is_rgb_and_says_exposure_camera_and_time(camera: UvcCamera) -> 
     assert frame.time_s == time_ns / 1e9
 
 
-def test_a_grabbed_frame_was_exposed_wholly_after_the_call(
-    camera: UvcCamera, source: FakeVideoCapture
-) -> None:
+def test_a_grabbed_frame_was_exposed_wholly_after_the_call(camera, source):
     for _ in range(5):
         before, asked_ns = source.numbers, time.monotonic_ns()
         time_ns, frame = camera.grab(PATIENCE_S)
@@ -141,9 +139,7 @@ LOCKED = [
 
 
 @pytest.mark.parametrize(("control", "kept", "name"), LOCKED)
-def test_a_camera_that_refuses_a_setting_or_keeps_another_is_refused(
-    source: FakeVideoCapture, control: int, kept: float, name: str
-) -> None:
+def test_a_camera_that_refuses_a_setting_or_keeps_another_is_refused(source, control, kept, name):
     settings = replace(SETTINGS, controls={cv2.CAP_PROP_GAIN: 3.0})
     source.kept[control] = kept
     assert name in refused_open(source, settings)
@@ -153,9 +149,7 @@ def test_a_camera_that_refuses_a_setting_or_keeps_another_is_refused(
 
 
 @pytest.mark.parametrize(("control", "kept", "name"), LOCKED)
-def test_a_setting_that_another_program_changes_later_ends_the_frames(
-    source: FakeVideoCapture, control: int, kept: float, name: str
-) -> None:
+def test_a_setting_that_another_program_changes_later_ends_the_frames(source, control, kept, name):
     with opened(source, replace(SETTINGS, controls={cv2.CAP_PROP_GAIN: 3.0})) as camera:
         source.kept[control] = kept
         assert name in failure(camera)
@@ -167,9 +161,7 @@ def test_a_rate_that_is_a_fraction_is_taken_for_the_number_it_is_called_by(sourc
         camera.grab(PATIENCE_S)
 
 
-def test_a_camera_without_white_balance_is_used_and_one_that_balances_by_itself_is_not(
-    source: FakeVideoCapture,
-) -> None:
+def test_a_camera_without_white_balance_is_used_and_one_that_balances_by_itself_is_not(source):
     source.refused |= {cv2.CAP_PROP_AUTO_WB, cv2.CAP_PROP_WB_TEMPERATURE}
     settings = replace(SETTINGS, white_balance_k=None)
     with opened(source, settings) as camera:
@@ -195,9 +187,7 @@ def test_frames_that_the_camera_dropped_are_counted(camera: UvcCamera, source: F
     assert camera.counts.dropped == 4
 
 
-def test_a_duplicate_frame_is_counted_and_never_handed_out(
-    camera: UvcCamera, source: FakeVideoCapture
-) -> None:
+def test_a_duplicate_frame_is_counted_and_never_handed_out(camera, source):
     source.repeat(2)
     until(lambda: camera.counts.duplicate == 2)
     numbers = [number(camera.grab(PATIENCE_S)[1].image) for _ in range(3)]
@@ -211,9 +201,7 @@ def test_a_camera_that_froze_is_told(camera: UvcCamera, source: FakeVideoCapture
     assert camera.counts.duplicate >= 3
 
 
-def test_frames_that_cannot_be_decoded_are_passed_over_until_there_are_ten_in_a_row(
-    camera: UvcCamera, source: FakeVideoCapture
-) -> None:
+def test_frames_that_cannot_be_decoded_are_passed_over_until_there_are_ten_in_a_row(camera, source):
     source.tear(9)
     until(lambda: camera.counts.broken == 9)
     camera.grab(PATIENCE_S)
@@ -225,9 +213,7 @@ def test_frames_that_cannot_be_decoded_are_passed_over_until_there_are_ten_in_a_
 # C2: clocks that go back
 
 
-def test_times_never_go_back_though_the_drivers_stamps_do(
-    camera: UvcCamera, source: FakeVideoCapture
-) -> None:
+def test_times_never_go_back_though_the_drivers_stamps_do(camera, source):
     first, _ = camera.grab(PATIENCE_S)
     source.turn_back(0.5)
     until(lambda: camera.counts.backwards == 1)
@@ -259,9 +245,7 @@ def test_times_never_go_back_though_the_hosts_clock_does(source: FakeVideoCaptur
 
 
 @pytest.mark.parametrize("shape", [(24, 32, 3), (48, 64, 1), (48, 64, 4), (64, 48, 3)])
-def test_a_frame_of_another_size_or_format_ends_the_frames(
-    camera: UvcCamera, source: FakeVideoCapture, shape: tuple[int, ...]
-) -> None:
+def test_a_frame_of_another_size_or_format_ends_the_frames(camera, source, shape):
     source.shape = shape
     assert "format changed" in failure(camera)
 
@@ -286,9 +270,7 @@ def test_an_error_of_opencv_while_opening_is_told(source: FakeVideoCapture) -> N
     assert "VIDIOC_STREAMON" in refused_open(source)
 
 
-def test_a_camera_that_hangs_is_told_in_time_and_let_go_of_when_it_ends(
-    source: FakeVideoCapture, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_camera_that_hangs_is_told_in_time_and_let_go_of_when_it_ends(source, monkeypatch):
     monkeypatch.setattr("palpate.rig.real.uvc_camera._CLOSE_S", 0.1)
     camera = opened(source)
     source.resume.clear()
@@ -303,9 +285,7 @@ def test_a_camera_that_hangs_is_told_in_time_and_let_go_of_when_it_ends(
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
-def test_a_reading_thread_that_ends_by_a_mistake_does_not_leave_an_old_frame_as_the_newest(
-    camera: UvcCamera, source: FakeVideoCapture
-) -> None:
+def test_a_reading_thread_that_ends_by_a_mistake_does_not_leave_an_old_frame_as_the_newest(camera, source):
     source.error = ZeroDivisionError()
     assert "reading thread" in failure(camera)
 
@@ -372,7 +352,7 @@ def test_two_equal_frames_a_long_time_apart_are_a_busy_computer_and_not_a_frozen
 )
 def test_settings_that_mean_nothing_are_refused(wrong: dict[str, object]) -> None:
     with pytest.raises(RangeError):
-        UvcSettings(**wrong)  # type: ignore[arg-type]
+        UvcSettings(**wrong)
 
 
 def by_id(tmp_path: Path, *names: str) -> Path:
@@ -398,9 +378,7 @@ def test_a_camera_is_found_by_number_path_or_serial_number(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("serial", ["5678", "234", "", "*"])
-def test_a_serial_number_that_is_not_there_is_refused_with_those_that_are(
-    tmp_path: Path, serial: str
-) -> None:
+def test_a_serial_number_that_is_not_there_is_refused_with_those_that_are(tmp_path, serial):
     folder = by_id(tmp_path, "usb-Maker_Eye_1234-video-index0")
     with refused("camera-not-found", DeviceError, match="Maker_Eye_1234"):
         device(serial, folder)

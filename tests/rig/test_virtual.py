@@ -24,13 +24,11 @@ LAW = Palm(SPEC).force_law(palm.parse_probe("sphere:10"))
 
 
 def rig(**kwargs: object) -> Rig:
-    return virtual_rig(**{"sensor": Palm(SPEC), "clock": ManualClock(NS_PER_S), "variation": IDEAL, **kwargs})  # type: ignore[arg-type]
+    return virtual_rig(**{"sensor": Palm(SPEC), "clock": ManualClock(NS_PER_S), "variation": IDEAL, **kwargs})
 
 
 @given(length=st.floats(1e-6, 0.1), speed=st.floats(1e-4, 0.1), a=st.floats(0.05, 5), stop=st.floats(0, 2))
-def test_a_move_ends_on_its_target_and_a_stop_within_its_bound(
-    length: float, speed: float, a: float, stop: float
-) -> None:
+def test_a_move_ends_on_its_target_and_a_stop_within_its_bound(length, speed, a, stop):
     motion = Motion((0, 0, 0), (0, 0, length), speed, a, 0.0)
     ends = motion.at(np.array([motion.ends_s, motion.ends_s + 1]))[:, 2]
     assert ends == pytest.approx(length, rel=1e-9)
@@ -48,7 +46,7 @@ def test_a_skin_without_memory_carries_what_the_table_says() -> None:
     assert (force == elastic).all()
 
 
-def palm_pose(depth_m: float):  # type: ignore[no-untyped-def]
+def palm_pose(depth_m: float):
     from palpate.core import Pose
 
     return Pose(0.0, 0.0, float(depth_m))

@@ -185,9 +185,7 @@ def test_a_hand_that_feels_a_body_presses_it_head_on_to_where_bodies_are_compare
         VirtualHand("tactip", clock=ManualClock(), indenter="no such body")
 
 
-def test_a_hand_that_drew_ahead_waits_for_no_picture_while_it_presses(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_hand_that_drew_ahead_waits_for_no_picture_while_it_presses(monkeypatch):
     marched: list[float] = []
     march = fringe_view._marched
 

@@ -57,7 +57,7 @@ def test_force_position_and_area_of_a_press_are_those_of_its_contact(run: Run) -
             table = read_press_table(path, len(pages))
         assert 5.0 < table.force_n.max() < 5.4
         assert table.area_m2 is not None
-        body = TACTIP.force_law(TACTIP.probe(words), TACTIP.specimen(words))  # type: ignore[attr-defined]
+        body = TACTIP.force_law(TACTIP.probe(words), TACTIP.specimen(words))
         at = table.frame_sample[table.force_n[table.frame_sample] > 1.0]
         law_n = np.interp(table.area_m2[at], math.pi * body.radius_m**2, body.force_n)
         # Noise of 0.02 N in steps of 1/16 N, and a force that moves on by 0.1 N while a frame is exposed.
@@ -99,7 +99,7 @@ def test_the_stiffness_of_a_specimen_is_read_from_a_recorded_run(tmp_path: Path)
     assert touch.stiffness.in_unit("N_per_mm").value == pytest.approx(5.3, rel=0.03)
 
 
-def _trials(folder: PressFolder):  # type: ignore[no-untyped-def]
+def _trials(folder: PressFolder):
     found = {}
     for one in folder.specimens:
         cues = []

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
-from typing import Any
 
 import pytest
 from tests.fakes.grbl_firmware import GrblFirmware
@@ -66,9 +64,7 @@ def device(what: str) -> SerialDevice:
         lambda i: i == 0,
     ),
 )
-def test_a_stages_port_that_is_another_device_is_refused_with_what_it_said(
-    tmp_path: Path, what: str, part: dict[str, Any], said: str
-) -> None:
+def test_a_stages_port_that_is_another_device_is_refused_with_what_it_said(tmp_path, what, part, said):
     with lab_file(tmp_path) as lab, served(device(what)) as port:
         lab.fields["stage"] = {**part, "port": port}
         with refused(f"not-{part['kind']}", DeviceError, match=said) as told:
@@ -90,9 +86,7 @@ def test_a_stages_port_that_is_another_device_is_refused_with_what_it_said(
         ("noise", "", "baud"),
     ],
 )
-def test_a_scales_port_that_is_another_device_is_refused_with_what_it_said(
-    tmp_path: Path, what: str, ask: str, said: str
-) -> None:
+def test_a_scales_port_that_is_another_device_is_refused_with_what_it_said(tmp_path, what, ask, said):
     with lab_file(tmp_path) as lab, served(device(what)) as port:
         file = lab.write(label_force={**SCALE, "port": port, "ask": ask})
         with refused("no-samples", DeviceError, match=said) as told:

@@ -21,6 +21,8 @@ from palpate.rig.run_progress import fields_of
 from palpate.rig.virtual import Variation
 from palpate.rig.zero_drift import slope_n_s
 
+pytestmark = pytest.mark.usefixtures("coarse_looks")
+
 
 class DriftingForce:
     """A force sensor whose normal zero moves between two times, at so many newtons a second."""
@@ -72,9 +74,7 @@ def span_of_last_press(path: Path) -> tuple[float, float]:
     [False, pytest.param(True, marks=pytest.mark.slow)],
     ids=["ends before the zero", "goes on in the air"],
 )
-def test_a_press_whose_zero_moved_is_named_taken_back_and_recorded_anew(
-    tmp_path: Path, goes_on: bool
-) -> None:
+def test_a_press_whose_zero_moved_is_named_taken_back_and_recorded_anew(tmp_path, goes_on):
     begun_s, ended_s = span_of_last_press(tmp_path / "sound")
     out = tmp_path / "run"
     outcome = record(drifting(begun_s, ended_s + (60.0 if goes_on else 0.0)), SMALL, out)

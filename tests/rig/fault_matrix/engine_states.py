@@ -81,7 +81,7 @@ def _presses(rig: ObservedRig, call: str) -> bool:
 
 def _holds(rig: ObservedRig, call: str) -> bool:
     step = rig.step
-    return call == "force.drain" and _last(rig, Burst) and step.shot.phase == "hold"  # type: ignore[union-attr]
+    return call == "force.drain" and _last(rig, Burst) and step.shot.phase == "hold"
 
 
 def _slides(rig: ObservedRig, call: str) -> bool:

@@ -155,7 +155,7 @@ def _killed(fault: RigFault, state: EngineState, out: Path, seed: int) -> dict[s
             def last_words() -> None:
                 os.write(writes, json.dumps(measured(rig, fault, state.name, "killed", "")).encode())
 
-            rig.last_words = last_words  # type: ignore[attr-defined]
+            rig.last_words = last_words
             if state.before:
                 rig.ask_begin()
             record(rig.rig, rig.plan, out, control=rig.control, watch=rig.watch)

@@ -145,7 +145,7 @@ def _counts(cells: Sequence[Cell]) -> str:
 
 def _stops(cells: Sequence[Cell]) -> str:
     stops = [one for one in cells if one.stop_mm is not None and one.bound_mm and one.obeyed]
-    share = max(one.stop_mm / one.bound_mm for one in stops)  # type: ignore[operator]
+    share = max(one.stop_mm / one.bound_mm for one in stops)
     return f"{len(stops)} cells have a stop in motion; the longest came to {100 * share:.0f} % of its bound."
 
 

@@ -121,7 +121,7 @@ class ObservedRig:
     def __init__(self, plan: StepHold, seed: int, begun_ns: int = BEGUN_NS) -> None:
         self.clock = ManualClock(begun_ns)
         self.sound = virtual_rig(Palm(SPEC), clock=self.clock, seed=seed, variation=Variation())
-        self.truth = self.sound.stage._world  # type: ignore[attr-defined]
+        self.truth = self.sound.stage._world
         self.stage = ObservedDevice(self.sound.stage, lambda name: self._called("stage", name))
         self.force = ObservedDevice(self.sound.force, lambda name: self._called("force", name))
         self.camera = ObservedDevice(self.sound.camera, lambda name: self._called("camera", name))
