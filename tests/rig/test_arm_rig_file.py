@@ -119,27 +119,23 @@ def test_the_numbers_of_a_file_are_the_drivers(lab) -> None:
     assert spec.frame.base_m((0.0, 0.0, 0.01)) == pytest.approx((0.4, 0.1, 0.19))
 
 
-def test_an_arm_that_is_stopped_is_told_by_its_status(lab) -> None:
+def test_an_arm_has_no_homing_is_jogged_by_its_limits_and_its_status_tells_a_stop(lab) -> None:
     bench = open_bench(lab.write())
     found = bench_status(bench)
     assert found["stage_says"] == "running"
     assert found["position_mm"] == pytest.approx([0.0, 0.0, -12.0], abs=1e-3)
+    stage = bench.need_stage()
+    with pytest.raises(DeviceError, match="no homing"):
+        home_clear(stage, bench.force, bench.mounting, bench.clock)
+    x, y, z = stage.position_m()
+    jog(
+        stage, bench.force, bench.mounting, bench.limits, bench.clock,
+        axis="z", distance_m=-1e-3, speed_m_s=2e-3,
+    )  # fmt: skip
+    assert stage.position_m() == pytest.approx((x, y, z - 1e-3), abs=3e-5)
     lab.arm.stop_for_safety(PROTECTIVE)
     bench.clock.sleep(0.02)
     assert "protective stop" in bench_status(bench)["problems"]["stage"]
-    bench.close()
-
-
-def test_an_arm_has_no_homing_and_is_jogged_by_its_limits(lab) -> None:
-    bench = open_bench(lab.write())
-    with pytest.raises(DeviceError, match="no homing"):
-        home_clear(bench.need_stage(), bench.force, bench.mounting, bench.clock)
-    x, y, z = bench.need_stage().position_m()
-    jog(
-        bench.need_stage(), bench.force, bench.mounting, bench.limits, bench.clock,
-        axis="z", distance_m=-1e-3, speed_m_s=2e-3,
-    )  # fmt: skip
-    assert bench.need_stage().position_m() == pytest.approx((x, y, z - 1e-3), abs=3e-5)
     bench.close()
 
 

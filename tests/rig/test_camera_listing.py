@@ -148,17 +148,3 @@ def test_a_camera_that_may_not_be_opened_says_how_to_get_the_right(system, monke
     for one in list_cameras(system):
         assert "usermod -aG" in one.advice
         assert one.modes == ()
-
-
-def test_a_camera_that_answers_nothing_is_listed_with_the_reason(system) -> None:
-    def broken(handle, number, data):
-        raise OSError(errno.EIO, "Input/output error")
-
-    found = list_cameras(VideoSystem(system.classes, system.devices, system.processes, broken))
-    assert ["Input/output error" in one.advice for one in found] == [True] * 3
-
-
-def test_a_system_without_such_a_list_has_none(tmp_path, monkeypatch) -> None:
-    assert list_cameras(VideoSystem(tmp_path / "none")) == ()
-    monkeypatch.setattr(camera_listing.sys, "platform", "darwin")
-    assert "--camera 0" in camera_listing.how_listed()

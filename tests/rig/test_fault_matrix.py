@@ -158,16 +158,13 @@ class TestControls:
         monkeypatch.setattr(VirtualStage, "stop", late)
         assert "the bound" in self.broken("force", "does not answer", "press")
 
-    def test_the_bound_is_no_wider_than_it_must_be(self) -> None:
+    def test_the_bound_is_no_wider_than_it_must_be_and_another_run_or_end_is_noticed(self) -> None:
         cell, fault = self.cell("force", "does not answer", "press")
         assert faults_of(cell, fault) == []
         v, a, late_s = 2.0, 500.0, 0.004  # mm/s, mm/s^2 and s of the virtual stage
         assert cell.bound_mm == pytest.approx(v**2 / (2 * a) + v * late_s)
         for less in (v**2 / (2 * a), v * late_s, v**2 / (4 * a) + v * late_s):
             assert "the bound" in " ".join(faults_of(replace(cell, bound_mm=less), fault))
-
-    def test_a_run_that_is_not_the_plan_s_is_noticed(self) -> None:
-        cell, fault = self.cell("camera", "does not answer", "hold")
         assert faults_of(replace(cell, went_on="frames that are not the plan's"), fault)
         assert faults_of(replace(cell, ended="storage"), fault)
 

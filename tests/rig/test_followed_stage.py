@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import time
-from contextlib import closing
 
 import numpy as np
 import pytest
 from tests.rig.grbl_talk import Talk, fake, simulator
-from tests.rig.rigs import plan, wanted
 from tests.rig.test_grbl_two_firmwares import MOTION, SETTINGS
 
 from palpate.core import DeviceError, InputError, ManualClock, Travel
-from palpate.recordings import Run, check
-from palpate.rig import State, open_rig, record
+from palpate.rig import open_rig
 from palpate.rig.commissioning.bench import open_bench
-from palpate.rig.plans import Listed
 from palpate.rig.virtual.followed_stage import FollowedWorld
 from palpate.rig.virtual.virtual_camera import VirtualCamera
 from palpate.rig.virtual.virtual_force import VirtualForce
@@ -112,10 +108,6 @@ def test_it_is_felt_at_the_depth_at_which_the_stage_stands(world, stage):
     assert force_n == pytest.approx(world.touch_at(world.now_s - 0.05).force_n[2], abs=0.02)
 
 
-def test_above_the_skin_nothing_is_felt(world, stage):
-    assert abs(pressed_n(world, stage, 0.0035)) < 0.02
-
-
 def test_a_stage_that_loses_its_place_leaves_the_probe_where_it_was(world, stage):
     pressed_n(world, stage, 0.0056)
     stage.lost = True
@@ -159,23 +151,3 @@ def test_the_devices_of_a_mixed_rig_are_opened_one_by_one_as_well(mixed):
         assert not bench.failed
         time.sleep(0.1)
         assert abs(bench.need_force().latest().force_n[2]) < 5
-
-
-@pytest.mark.slow
-def test_a_plan_is_recorded_on_firmware_with_a_virtual_force_and_camera_and_says_so(mixed, tmp_path):
-    small = plan(
-        places=Listed(kind="listed", at_mm=((0.0, 0.0),)),
-        cycles=1, depth_mm=0.4, step_mm=0.2, frames=1,
-        clearance_mm=0.6, seek_mm_s=1.0, press_mm_s=1.0, travel_mm_s=10.0,
-    )  # fmt: skip
-    with closing(open_rig(mixed, position="reference")) as rig:
-        outcome = record(rig, small, tmp_path / "run")
-    assert outcome.state is State.DONE, outcome.message
-    run = Run.open(tmp_path / "run")
-    assert check(run.path).sound
-    assert set(run.labels["shot"].dropna()) == {shot for shot, _ in wanted(small)}
-    pressed = run.labels[run.labels["depth_mm"] > 0.3]
-    assert (pressed["force_N"] > 0.05).all()
-    assert len(pressed)
-    assert run.manifest.origin.count("simulated") == 2  # force and camera
-    assert run.manifest.is_simulated

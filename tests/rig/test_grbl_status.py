@@ -84,16 +84,6 @@ def test_a_lost_question_delays_an_answer_by_a_period_and_no_more(grbl_bench):
     assert least < 4 * 0.1
 
 
-def test_status_is_asked_for_on_the_period_also_while_nobody_looks(grbl_bench):
-    bench = grbl_bench(MODELS["Grbl 1.1h"], status_s=0.05)
-    link = bench.open()._link
-    asked, began = link.asked, time.monotonic()
-    while link.asked < asked + 10:
-        assert time.monotonic() - began < 60.0
-        time.sleep(0.01)
-    assert time.monotonic() - began >= 9 * 0.05  # and not more often
-
-
 def test_a_stage_that_is_gone_is_told_within_its_time_while_a_look_waits_for_nothing(grbl_open):
     bench, stage = grbl_open(MODELS["Grbl 1.1h"], clock=MonotonicClock(), silence_s=0.5, still_s=60.0)
     stage.move_to((-0.001, 0.050, 0.050), 0.001)
@@ -111,20 +101,6 @@ def test_a_stage_that_is_gone_is_told_within_its_time_while_a_look_waits_for_not
     assert "0.5 s" in said
     assert time.monotonic() - began >= 0.4
     assert looks >= 5
-
-
-def test_a_stage_silent_for_less_than_its_time_goes_on(grbl_open):
-    bench, stage = grbl_open(MODELS["Grbl 1.1h"], silence_s=30.0)
-    stage.move_to((-0.045, 0.050, 0.050), 0.010)
-    bench.spoil(GrblFaults(silent=True))
-    began = time.monotonic()
-    while time.monotonic() - began < 0.5:
-        assert stage.moving()
-        bench.clock.sleep(0.001)
-        bench.terminal.catch_up()
-    bench.spoil(GrblFaults())
-    bench.arrive(stage)
-    assert stage.position_m()[0] == pytest.approx(-0.045, abs=1e-6)
 
 
 def test_a_silent_stage_that_takes_a_reset_keeps_its_place_and_can_be_lifted(grbl_open):

@@ -34,7 +34,6 @@ WHERE = [
 SHORT_JOGS = 100
 LATENCY_S = 0.05
 SPEED_M_S = 0.010
-BOUND_MM = 10.0**2 / (2 * 50.0) + 10.0 * LATENCY_S + 0.02  # v^2/2a, v latency, and two steps
 PATIENT = {"boot_s": 0.2, "reply_s": 20.0, "silence_s": 20.0, "still_s": 20.0, "stop_s": 20.0}
 
 
@@ -79,27 +78,6 @@ def run_up(stage, target, after_m: float = 0.003) -> None:
     stage.move_to(target, SPEED_M_S)
     while stage.position_m()[0] < after_m:
         assert stage.moving()
-
-
-def test_it_jogs_to_its_targets(stage):
-    for target in ((0.001, -0.001, 0.0005), (0.0, 0.002, -0.001), (0.0, 0.0, 0.0)):
-        stage.move_to(target, SPEED_M_S)
-        arrive(stage)
-        assert stage.position_m() == pytest.approx(target, abs=1e-5)
-
-
-def test_a_stop_ends_within_its_bound_short_of_its_target(stage):
-    target = (0.040, 0.020, -0.010)
-    run_up(stage, target)
-    before = counted_mm(stage)
-    stage.stop()
-    after = counted_mm(stage)
-    assert math.dist(before, after) <= BOUND_MM
-    assert not stage.moving()
-    assert math.dist(stage.position_m(), target) > 0.02
-    stage.move_to((0.0, 0.0, 0.0), 0.02)
-    arrive(stage)
-    assert stage.position_m() == pytest.approx((0.0, 0.0, 0.0), abs=1e-5)  # so no step was lost
 
 
 @pytest.mark.slow
@@ -157,18 +135,6 @@ class Deaf:
         return len(data) if data == b"\x85" else self._write(data)
 
 
-def test_a_hold_of_a_programmed_move_is_cleared_by_a_stop(stage):
-    stage._link.command("G21G91G94G1X30F600")
-    while counted_mm(stage)[0] < 2.0:
-        pass
-    stage._link.slow_down(b"!")
-    with pytest.raises(DeviceError):  # it is where the driver did not send it
-        stage.stop()
-    stage.reference((0.0, 0.0, 0.0))
-    stage.move_to((0.001, 0.0, 0.0), SPEED_M_S)
-    arrive(stage)
-
-
 @pytest.mark.parametrize(("line", "state"), [("$SLP", "Sleep"), ("$C", "Check")])
 def test_sleep_and_check_are_cleared_by_a_stop(where, stage, line, state):
     if line == "$SLP" and where[1] == "grblHAL":
@@ -219,21 +185,6 @@ def test_homing_ends_homed_or_is_refused_with_the_place_unknown(where):
                 stage.position_m()
         else:
             assert math.dist(stage.position_m(), (0.0, 0.0, 0.0)) < 0.02
-
-
-def test_a_jog_beyond_the_firmware_s_own_travel_is_refused_without_an_alarm(where):
-    path, firmware = where
-    if firmware == "grblHAL":
-        pytest.skip("grblHAL checks its travel once it is homed, and nothing here is")
-    with Talk(path) as talk:
-        for line in ("$22=1", "$20=1", "$X"):
-            assert talk.send(line)[-1] == "ok", line
-    with GrblStage.open(spec(path)) as stage:
-        stage.unlock()
-        stage.reference((0.049, 0.0, 0.0))  # 49 mm on of where the machine begins
-        with pytest.raises(DeviceError, match="error:15"):
-            stage.move_to((0.050, 0.0, 0.0), SPEED_M_S)  # beyond machine zero, its end
-        assert not stage.moving()
 
 
 def test_a_port_that_is_opened_anew_in_motion_is_stopped_and_its_place_unknown(where):

@@ -41,13 +41,13 @@ class Force:
 
 
 class Stage:
-    """A stage that homes for two seconds unless it is stopped."""
+    """A stage that homes for 0.8 s unless it is stopped."""
 
     def __init__(self) -> None:
         self.stopped = threading.Event()
 
     def home(self) -> None:
-        if self.stopped.wait(2.0):
+        if self.stopped.wait(0.8):
             raise DeviceError("homing was stopped")
 
     def stop(self) -> None:
@@ -63,7 +63,7 @@ class Stage:
 def test_a_change_of_force_stops_homing(sign: float) -> None:
     stage = Stage()
     with pytest.raises(Tripped) as caught:
-        home_watched(stage, Force(lambda s: sign * 4.0 * max(s - 0.5, 0.0)), MonotonicClock())
+        home_watched(stage, Force(lambda s: sign * 4.0 * max(s - 0.4, 0.0)), MonotonicClock())
     assert caught.value.code == Reason.FORCE_LIMIT
     assert stage.stopped.is_set()
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from tests.refusals import refused
-from tests.rig.rigs import IDEAL, SPEC, plan, rig
+from tests.rig.rigs import IDEAL, SPEC, near, quick, rig
 
 from palpate.core.errors import InputError, RecordingError
 from palpate.recordings.run_reader import Run
@@ -47,7 +47,7 @@ def test_touching_finds_the_layers_tilt_through_the_spread_of_approaches(tmp_pat
 
 
 def test_a_run_of_another_plan_says_nothing_of_the_layer(tmp_path: Path) -> None:
-    record(rig(), plan(cycles=1), tmp_path / "run")
+    record(near(), quick(depth_mm=0.4), tmp_path / "run")
     with pytest.raises(RecordingError, match="--plan layer"):
         locate_skin(Run.open(tmp_path / "run"))
 

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 from tests.rig.lab_files import lab_file
 
 from palpate.cli.record.rig_hand_verbs import stopped_by_signals
@@ -17,9 +16,6 @@ from palpate.devices import Mounting
 from palpate.devices.device_proxies import driver_errors
 from palpate.rig.commissioning.bench import Bench, frame_times
 from palpate.rig.commissioning.hand_motion import discard
-from palpate.rig.commissioning.rig_setup import _three_words
-from palpate.rig.commissioning.setup_answers import Answers
-from palpate.rig.plans import Grid, StepHold
 from palpate.rig.rig_file import MarlinPart, open_rig
 
 
@@ -92,11 +88,6 @@ def test_whatever_a_driver_raises_is_an_error_of_the_device() -> None:
         raise KeyboardInterrupt
 
 
-def test_a_plan_in_steps_smaller_than_any_stage_makes_is_refused() -> None:
-    with pytest.raises(ValidationError, match="step_mm"):
-        StepHold(places=Grid(), step_mm=1e-9)
-
-
 @pytest.mark.parametrize(
     ("limits", "said"),
     [
@@ -141,26 +132,3 @@ def test_what_came_while_a_person_read_is_dropped_and_a_failed_sensor_is_told() 
     discard(Overflowing(1))
     with pytest.raises(DeviceError):
         discard(Overflowing(2))
-
-
-@pytest.mark.parametrize("typed", ["+X,-Y,-Z", '["+X", "-Y", "-Z"]', "[+X, -Y, -Z]"])
-def test_axes_are_taken_as_a_person_types_them(typed: str) -> None:
-    assert _three_words("stage_axes", typed) == ("+X", "-Y", "-Z")
-
-
-def test_a_person_who_names_no_stage_is_asked_again() -> None:
-    typed = iter(["/dev/nowhere", "7"])
-
-    def take() -> int:
-        answer = answers.ask("port", "Port")
-        if answer == "/dev/nowhere":
-            raise DeviceError("nothing there")
-        return int(answer)
-
-    answers = Answers(read=lambda question: next(typed))
-    assert answers.until_good(take) == 7
-
-
-@pytest.mark.parametrize("typed", ["N", "yes", "3.10", "true"])
-def test_words_are_kept_as_they_were_typed(typed: str) -> None:
-    assert Answers(read=lambda question: typed).text("unit", "Unit") == typed

@@ -48,11 +48,6 @@ def sensor(box: FakeNetFT) -> Iterator[NetFT]:
         yield made
 
 
-def test_the_force_and_torque_that_act_are_measured(sensor: NetFT) -> None:
-    wrench = sensor.latest()
-    assert (wrench.force_n, wrench.torque_nm, wrench.fault) == (FORCE, TORQUE, "")
-
-
 @pytest.mark.parametrize(
     "page",
     [
@@ -69,11 +64,6 @@ def test_the_force_is_in_newtons_whatever_unit_the_box_is_set_to(box: FakeNetFT,
     half_a_count_nm = 0.5 / page.counts_per_torque * page.newton_metres
     assert wrench.force_n == pytest.approx(FORCE, rel=1e-12, abs=half_a_count_n)
     assert wrench.torque_nm == pytest.approx(TORQUE, rel=1e-12, abs=half_a_count_nm)
-
-
-def test_rate_and_range_are_the_boxs_own(sensor: NetFT) -> None:
-    assert sensor.rate_hz == 500.0
-    assert sensor.range_n == (330.0, 330.0, 990.0)
 
 
 def test_what_the_page_leaves_open_has_to_be_given(box: FakeNetFT) -> None:

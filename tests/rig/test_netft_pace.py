@@ -17,7 +17,7 @@ from palpate.devices.force_trust import ForceMonitor, Phase, name_fault
 from palpate.rig.real.netft.netft_sensor import NetFT, NetFTSettings
 from palpate.rig.virtual.virtual_bench import TRAVEL
 
-HZ = 100.0
+HZ = 200.0
 PATIENCE_S = 30.0
 TRIES = 10  # of a healthy box on a busy computer
 AIR = 300  # samples of the air: some that a busy computer sends at once then change the rate by little
@@ -64,8 +64,8 @@ def taught_in_time(sensor: NetFT) -> ForceMonitor:
     raise last
 
 
-@pytest.mark.parametrize("heard_s", [0.0, pytest.param(3.0, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("sent_hz", [0.5 * HZ, 0.2 * HZ])
+@pytest.mark.parametrize(("sent_hz", "heard_s"), [(0.5 * HZ, 0.0), (0.2 * HZ, 3.0)])
+@pytest.mark.cases(1)
 def test_a_box_that_sends_slower_than_its_page_states_is_named_slow(sent_hz: float, heard_s: float) -> None:
     with noisy_box() as box:
         box.sent_hz = sent_hz
@@ -76,16 +76,10 @@ def test_a_box_that_sends_slower_than_its_page_states_is_named_slow(sent_hz: flo
         assert caught.value.reason is Reason.FORCE_SLOW
 
 
-def test_a_box_that_sends_what_its_page_states_is_believed() -> None:
-    """The negative control of the law above."""
-    with noisy_box() as box, connected(box) as sensor:
-        assert taught_in_time(sensor).air is not None
-
-
 def test_records_that_are_held_back_are_named_late_and_none_is_lost() -> None:
     hold_s = 0.5
     with noisy_box() as box, connected(box) as sensor:
-        monitor = taught_in_time(sensor)
+        monitor = taught_in_time(sensor)  # the negative control of the law above
         lost = sensor.counts.lost
         monitor.begin(Phase.DOWN, 2e-3, 1e-3, *[time.monotonic_ns()] * 2)
         box.hold_s = hold_s

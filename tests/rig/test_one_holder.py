@@ -53,11 +53,6 @@ def test_a_hold_that_was_released_is_free_and_one_process_holds_a_device_once() 
     hold_device(device).release()
 
 
-def test_a_disk_that_takes_no_lock_keeps_nobody_from_a_stage(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    hold_device("port", tmp_path / "file").release()
-
-
 def test_names_of_one_device_are_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     link = tmp_path / "by-id"
     link.symlink_to("/dev/null")

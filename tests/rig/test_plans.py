@@ -68,13 +68,6 @@ def test_a_resumed_press_records_what_is_missing_and_nothing_else(done, unloadin
     assert set(recorded) == wanted
 
 
-def test_a_press_of_which_nothing_is_missing_moves_nothing() -> None:
-    plan = StepHold(depth_mm=0.2, cycles=1, frames=1, reference_frames=0)
-    press = next(plan.presses())
-    done = {shot.key: frozenset(range(frames)) for shot, frames in plan.shots(press)}
-    assert list(plan.steps(press, done)) == []
-
-
 def test_a_lateral_load_returns_to_the_middle_before_each_direction_and_at_the_end() -> None:
     lateral = Lateral(depths_mm=(0.2,), to_mm=((0.1, 0.0), (0.0, 0.1)), steps=2)
     plan = StepHold(depth_mm=0.2, cycles=1, frames=1, reference_frames=0, lateral=lateral)
@@ -102,12 +95,6 @@ def test_a_dwell_spreads_its_frames_over_its_time() -> None:
     ]
     assert held.every_s == 3.0
     assert len(held.missing) == 10
-
-
-def test_the_hash_names_what_is_recorded() -> None:
-    assert StepHold().hash == StepHold().hash
-    assert StepHold().hash != StepHold(frames=24).hash
-    assert StepHold().hash != StepHold(order="rounds").hash
 
 
 def test_scattered_places_repeat_with_their_seed_and_keep_apart() -> None:

@@ -18,7 +18,7 @@ from tests.rig.test_rig_setup import G, LabAnswers, answers_of, lab
 
 from palpate.core import MonotonicClock
 from palpate.core.clock import NS_PER_S
-from palpate.core.errors import DeviceError, InputError, PositionUnknownError
+from palpate.core.errors import InputError, PositionUnknownError
 from palpate.rig.commissioning.rig_setup import set_up
 from palpate.rig.commissioning.setup_answers import Answers
 from palpate.rig.rig_file import open_rig, read_rig
@@ -86,14 +86,6 @@ def test_a_scale_that_prints_a_wrong_unit_is_refused_by_the_known_weight(tmp_pat
         with refused("weight-differs", InputError, match=r"9\.80. N"):
             walk(one, tmp_path / "wrong.toml", **{**words, "label_mass_g": 2 * MASS_G})
     assert not (tmp_path / "wrong.toml").exists()
-
-
-@pytest.mark.slow
-def test_a_scale_slower_than_stated_is_named_with_what_came(tmp_path: Path) -> None:
-    with lab() as one, served(scale(rate_hz=2.0)) as port:
-        words = {"label_port": port, "label_unit": "counts", "label_weight_lies": True, "label_range_N": 20.0}
-        with refused("sample-rate", DeviceError):
-            walk(one, tmp_path / "rig.toml", **LABEL, **words)
 
 
 @pytest.mark.slow
@@ -175,21 +167,6 @@ def test_ctrl_c_at_any_question_writes_nothing_and_moves_nothing(tmp_path: Path)
 
 
 @pytest.mark.slow
-def test_counts_are_not_believed_after_a_start(tmp_path: Path) -> None:
-    with lab_file(tmp_path) as lab_:
-        open_rig(lab_.write()).close()
-        with lab_.terminal.lock:
-            lab_.stage.settings |= {20: 0, 22: 0}
-            lab_.stage.power_up()  # as its board is reset by the opening of its port
-        unhomed = {"require_homed": False, "least_mm": [-90, 10, 10], "greatest_mm": [-10, 90, 35]}
-        with pytest.raises(PositionUnknownError) as refused:  # by the supervisor's process
-            open_rig(lab_.write(stage=unhomed))
-        assert refused.value.code == "marker-lost"
-        confirmed = lab_.write(stage={**unhomed, "reference": [-50, 50, 20]})
-        open_rig(confirmed, position="reference").close()
-
-
-@pytest.mark.slow
 def test_a_jog_without_a_guard_needs_the_word_for_it_and_keeps_its_limits(tmp_path: Path) -> None:
     with lab_file(tmp_path) as lab_:
         file = lab_.write()
@@ -203,14 +180,3 @@ def test_a_jog_without_a_guard_needs_the_word_for_it_and_keeps_its_limits(tmp_pa
         done = palpate("rig", "jog", file, "--axis", "x", "--mm", "1", "--unguarded")
         assert done.returncode == 0, done
         assert lab_.stage.place_mm[0] == pytest.approx(-49.0, abs=0.01)
-
-
-@pytest.mark.slow
-def test_a_jog_away_and_a_zero_keep_the_soft_limits(tmp_path: Path) -> None:
-    with lab_file(tmp_path) as lab_:
-        up = palpate("rig", "jog", lab_.write(), "--axis", "z", "--mm", "-15")
-        zero = palpate("rig", "zero", lab_.write(limits={"least_mm": [-90, 10, 19.7]}))
-        assert lab_.stage.place_mm[2] <= -19.7 + 1e-6
-    for done in (up, zero):
-        assert done.returncode == 2
-        assert "soft limits" in done.stderr

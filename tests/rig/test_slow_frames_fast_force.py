@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 from tests.refusals import refused
-from tests.rig.rigs import SPEC, rig
+from tests.rig.rigs import SPEC, near
 
 from palpate.core import InputError, RangeError
 from palpate.recordings import Offset, Run, mean_over_exposures
@@ -64,10 +64,10 @@ class Swept:
 @pytest.fixture(scope="module")
 def swept(tmp_path_factory: pytest.TempPathFactory) -> Swept:
     sweep = Ramp(
-        name="sweep", kind="swept", places=CENTRE, cycles=2, speed_mm_s=SPEED_MM_S, depth_mm=3.0, taps=6
+        name="sweep", kind="swept", places=CENTRE, cycles=1, speed_mm_s=SPEED_MM_S, depth_mm=3.0, taps=5
     )
     out = tmp_path_factory.mktemp("swept") / "run"
-    outcome = record(rig(sensor=SlowPalm(SPEC), force_hz=FORCE_HZ), sweep, out)
+    outcome = record(near(sensor=SlowPalm(SPEC), force_hz=FORCE_HZ), sweep, out)
     assert outcome.state is State.DONE
     assert outcome.clocks is not None
     run = Run.open(out)

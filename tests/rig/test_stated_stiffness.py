@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 from tests.rig.altered_force import AlteredForce, law_range
-from tests.rig.rigs import CLEARANCE_MM, CLOCK_NS, plan, rig
+from tests.rig.rigs import CLEARANCE_MM, CLOCK_NS, near, plan
 from typer.testing import CliRunner
 
 from palpate.cli import app
@@ -28,6 +28,7 @@ from palpate.rig.rig_file.opened_rig import RigFile, rig_from
 from palpate.rig.skin_stiffness import stiffness_lines, stiffness_of
 from palpate.rig.virtual import Variation
 
+pytestmark = pytest.mark.usefixtures("coarse_looks")
 PLACE = Listed(kind="listed", at_mm=((0.0, 0.0),))
 UNTIL_N = 4.0
 FACTOR = 1.25
@@ -46,7 +47,7 @@ RAMP = Ramp(
 
 def swept(out: Path, gain: float, *, stated: bool = True, seed: int = 1) -> tuple[Any, float]:
     """Record one press to a force under a gain; how far beyond the nominal depth it went [mm]."""
-    sound = rig(variation=Variation(), seed=seed)
+    sound = near(variation=Variation(), seed=seed)
     world = sound.stage._world
     ranges = {RAMP.indenters[0]: law_range(world, FACTOR)} if stated else {}
     force = AlteredForce(sound.force, sound.clock, gain=gain)
@@ -66,10 +67,8 @@ def test_the_first_press_under_another_gain_is_stopped_before_its_nominal_depth(
     assert beyond_mm < 0.0
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-@pytest.mark.cases(1)
-def test_a_press_within_the_stated_range_is_recorded(tmp_path: Path, seed: int) -> None:
-    outcome, beyond_mm = swept(tmp_path / "run", 1.0, seed=seed)
+def test_a_press_within_the_stated_range_is_recorded(tmp_path: Path) -> None:
+    outcome, beyond_mm = swept(tmp_path / "run", 1.0)
     assert outcome.state is State.DONE
     assert abs(beyond_mm) < 0.15
 
@@ -84,7 +83,7 @@ def test_without_a_stated_range_half_a_gain_goes_deeper_than_nominal(tmp_path: P
 @pytest.mark.slow
 def test_a_range_from_a_run_finds_the_gain_that_changed_after_it(tmp_path: Path) -> None:
     def there(gain: float, clock_ns: int, **fields: Any) -> Any:
-        sound = rig(variation=Variation(), clock=ManualClock(clock_ns), seed=3)
+        sound = near(variation=Variation(), clock=ManualClock(clock_ns), seed=3)
         return replace(sound, force=AlteredForce(sound.force, sound.clock, gain=gain), **fields)
 
     small = plan(cycles=2, places=PLACE, depth_mm=2.0, frames=1, threshold_N=0.1)
@@ -117,9 +116,7 @@ class TestRange:
         ("force_n", "expected"),
         [
             (0.5, (0.0, UNKNOWN_N_M)),
-            (1.0, (100.0, 200.0)),
             (1.5, (200.0, 350.0)),
-            (2.0, (300.0, 500.0)),
             (9.0, (300.0, UNKNOWN_N_M)),
         ],
     )

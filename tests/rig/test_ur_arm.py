@@ -153,12 +153,13 @@ def test_a_frame_there_and_back_is_where_it_was(turn, zero, place) -> None:
     assert frame.tilt_deg(turn) < 1e-5
 
 
-def test_into_the_skin_is_down_and_y_leads_to_the_viewer(opened) -> None:
-    rig, stage = opened()
+def test_into_the_skin_is_down_and_y_leads_to_the_viewer_without_a_turn_of_the_tool(opened) -> None:
+    rig, stage = opened(pose=(*POSE[:3], math.pi - math.radians(0.4), 0.0, 0.0))
     assert stage.position_m() == pytest.approx((0.0, 0.0, -0.005))
     stage.move_to((0.001, 0.002, 0.003), SPEED)
     rig.arrive(stage)
     assert rig.arm.true_pose()[:3] == pytest.approx([0.401, 0.098, 0.197], abs=2e-5)
+    assert rig.arm.greatest_turn == 0.0
     assert stage.position_m() == pytest.approx((0.001, 0.002, 0.003), abs=2e-5)
 
 
@@ -385,9 +386,13 @@ def test_a_move_that_the_library_refuses_ends_at_a_stand(opened, faults, code) -
 
 def test_an_arm_that_stands_short_or_strays_is_told(opened) -> None:
     rig, stage = opened(still_s=0.2)
+    began_s = rig.clock.now_ns() / 1e9
+    stage.move_to((0.0, 0.0, -0.0049), 5e-5)  # a slow move is neither over too soon nor taken for stuck
+    rig.arrive(stage)
+    assert rig.clock.now_ns() / 1e9 - began_s >= 2.0
     rig.arm.faults = UrFaults(stuck_m=3e-3)
     stage.move_to(LOW, SPEED)
-    assert "7.00 mm" in rig.fails(stage.moving, within_s=2.0)
+    assert "6.90 mm" in rig.fails(stage.moving, within_s=2.0)
     stage.stop()
     rig.arm.faults = UrFaults(aside_m=4e-3)
     stage.move_to(LOW, SPEED)
@@ -445,7 +450,7 @@ def test_the_library_that_is_missing_is_named(bench, monkeypatch) -> None:
 class ArmSpring:
     """Force sensor under a skin at the rig's zero, on the bench's clock."""
 
-    rate_hz, range_n = 1000.0, (50.0, 50.0, 50.0)
+    rate_hz, range_n = 250.0, (50.0, 50.0, 50.0)
 
     def __init__(self, rig: ArmBench) -> None:
         self._rig, self._draw = rig, np.random.default_rng(1)
@@ -472,14 +477,14 @@ class ArmSpring:
         return Wrench(round(time_s * 1e9), force, (0.0, *noise[4:]))
 
 
-@pytest.mark.parametrize("stop_n", [1.0, 3.0])
-@pytest.mark.cases(1)
-def test_a_guarded_press_of_an_arm_ends_at_its_force(opened, stop_n) -> None:
+@pytest.mark.usefixtures("coarse_looks")
+def test_a_guarded_press_of_an_arm_ends_at_its_force(opened) -> None:
+    stop_n = 1.0
     rig, stage = opened(latency_s=0.02)
     limits = Limits((-0.04, -0.04, -0.04), (0.04, 0.04, 0.009), force_n=15.0)
     guard = MotionGuard(stage, ArmSpring(rig), limits, ForceBias(), rig.clock, OperatorControl())
-    guard.tare(1000.0)
-    guard.towards((0.0, 0.0, -0.0005), 2e-3)
+    guard.tare(250.0)
+    guard.towards((0.0, 0.0, -0.0005), 5e-3)
     assert guard.towards((0.0, 0.0, 0.006), 1e-3, ForceReached(stop_n))
     depth_m = stage.position_m()[2]
     reached_m = stop_n / STIFFNESS_N_M
@@ -489,11 +494,12 @@ def test_a_guarded_press_of_an_arm_ends_at_its_force(opened, stop_n) -> None:
     assert rig.arm.clashes == 0
 
 
+@pytest.mark.usefixtures("coarse_looks")
 def test_a_protective_stop_in_a_guarded_press_is_named(opened) -> None:
     rig, stage = opened(latency_s=0.02)
     limits = Limits((-0.04, -0.04, -0.04), (0.04, 0.04, 0.009), force_n=15.0)
     guard = MotionGuard(stage, ArmSpring(rig), limits, ForceBias(), rig.clock, OperatorControl())
-    guard.tare(1000.0)
+    guard.tare(250.0)
 
     def pressed(force) -> bool:
         if force[2] > 1.0 and not rig.arm.safety >> PROTECTIVE & 1:
@@ -501,7 +507,7 @@ def test_a_protective_stop_in_a_guarded_press_is_named(opened) -> None:
         return False
 
     with pytest.raises(Tripped, match="protective stop") as told:
-        guard.towards((0.0, 0.0, 0.003), 1e-3, pressed)
+        guard.towards((0.0, 0.0, 0.003), 2e-3, pressed)
     assert told.value.reason is Reason.HARDWARE_STOP
 
 

@@ -64,13 +64,6 @@ def test_a_held_press_relaxes_by_its_shares_whatever_the_step(step_s: float) -> 
     assert force[held] == pytest.approx(law, rel=2.5e-3)
 
 
-def test_a_ball_is_never_pulled() -> None:
-    depth = np.concatenate([np.linspace(0, 3e-3, 300), np.linspace(3e-3, -1e-3, 50)])
-    force, _ = ViscoelasticSkin(LAW, ((0.3, 0.5),)).force(depth, 0.005)
-    assert force.min() == 0.0
-    assert force[-1] == 0.0
-
-
 def test_force_samples_come_at_their_rate_each_once_and_in_order() -> None:
     r = rig(force_hz=500.0)
     r.force.drain()

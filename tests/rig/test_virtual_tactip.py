@@ -72,18 +72,6 @@ def test_the_camera_s_latency_is_told_by_taps(run: Run) -> None:
 
 
 @pytest.mark.slow
-def test_seating_differs_from_press_to_press_and_not_before_a_touch(run: Run) -> None:
-    first = []
-    for one in press_folder(run.path).specimens:
-        with TiffFrames(one.presses[0][0]) as pages:
-            frames = [frame.astype(float) for _, frame in zip(range(3), pages, strict=False)]
-        noise = TACTIP.spec.camera.noise
-        assert (frames[1] - frames[0]).std() == pytest.approx(math.sqrt(2) * noise, rel=0.1)
-        first.append(frames[0])
-    assert (first[1] - first[0]).std() > 3 * noise
-
-
-@pytest.mark.slow
 def test_the_stiffness_of_a_specimen_is_read_from_a_recorded_run(tmp_path: Path) -> None:
     rig = virtual_rig("tactip", seed=1)
     assert record(rig, PLANS["tactip"], tmp_path / "run").state is State.DONE

@@ -68,11 +68,11 @@ def test_a_stages_port_that_is_another_device_is_refused_with_what_it_said(tmp_p
     with lab_file(tmp_path) as lab, served(device(what)) as port:
         lab.fields["stage"] = {**part, "port": port}
         with refused(f"not-{part['kind']}", DeviceError, match=said) as told:
-            open_rig(lab.write())
+            open_rig(lab.write(), supervised=False)
         assert port in str(told.value)
         lab.fields["stage"] = {**GRBL, "port": lab.terminal.path, "reference": "counts"}
         open_rig(
-            lab.write(), position="reference"
+            lab.write(), supervised=False, position="reference"
         ).close()  # the control: the right one is taken, also after what failed
 
 
@@ -90,7 +90,7 @@ def test_a_scales_port_that_is_another_device_is_refused_with_what_it_said(tmp_p
     with lab_file(tmp_path) as lab, served(device(what)) as port:
         file = lab.write(label_force={**SCALE, "port": port, "ask": ask})
         with refused("no-samples", DeviceError, match=said) as told:
-            open_rig(file)
+            open_rig(file, supervised=False)
         assert port in str(told.value)
         assert not lab.jogged
 

@@ -27,7 +27,7 @@ from tests.rig.fault_matrix.grbl_rig import GrblRig
 from tests.rig.fault_matrix.observed_rig import BEGUN_NS, ObservedRig
 from tests.rig.rigs import SPEC
 
-from palpate.core import ManualClock
+from palpate.core import ManualClock, StorageError
 from palpate.recordings import Run
 from palpate.rig import State, record
 from palpate.rig.plans import StepHold
@@ -44,17 +44,15 @@ class Cell:
     """What one fault did in one state.
 
     Attributes:
-        part, fault, state: which cell.
         ended: reason of a failure; else the state of the engine at the end, or the exception.
         seen: what the engine did when it ended.
-        message: of the end.
         stop_mm, bound_mm: way from asking for a stop until the stage truly stood, and v^2/2a + v latency, of
             the stop that comes nearest to its bound; None where none was asked for in motion.
         obeyed: whether the stage said that it stands.
         into_mm, allowed_mm: way towards the skin or along it once the fault shows, and what is allowed; None
             where it is recorded whole, or is no matter of motion.
         height_mm: of the probe over the skin at the end.
-        went_on: ended, held exactly the plan's frames when the same command was given again.
+        went_on: how the same command, given again, ended; empty where it then held exactly the plan's frames.
     """
 
     part: str
@@ -128,20 +126,13 @@ def _recorded(rig: ObservedRig, fault: RigFault, state: EngineState, out: Path) 
         outcome = record(rig.rig, rig.plan, out, control=rig.control, watch=rig.watch)
         ended, message = str(outcome.reason or outcome.state), outcome.message
     except BaseException as e:
-        ended, message = _name_of(e, rig), str(e)
+        ended = "storage" if isinstance(e, StorageError) else type(e).__name__
+        message = str(e)
     finally:
-        PATCHES.undo()
+        PATCHES.close()
     if rig.began_ns is None:
         raise AssertionError(f"the engine never came to {state.name}")
     return measured(rig, fault, state.name, ended, message)
-
-
-def _name_of(error: BaseException, rig: ObservedRig) -> str:
-    from palpate.core import StorageError
-
-    if isinstance(error, StorageError):
-        return "storage"
-    return type(error).__name__
 
 
 def _killed(fault: RigFault, state: EngineState, out: Path, seed: int) -> dict[str, Any]:
