@@ -19,20 +19,10 @@ SPEC = palm.cropped(palm.palm(), 16, "tiny")
 CLOCK_NS = 100 * NS_PER_S
 CLEARANCE_MM = 0.4
 IDEAL = Variation(
-    seating_m=0.0,
-    place_m=0.0,
-    tilt_rad=(0.0, 0.0),
-    lean=(0.0, 0.0),
-    lean_spread=(0.0, 0.0),
-    lamp=0.0,
-    shift_px=0.0,
-    backlash_m=0.0,
-    force_noise_n=1e-4,
-    force_drift_n=0.0,
-    force_step_n=0.0,
-    frame_jitter_s=0.0,
-    relaxation=(),
-)
+    seating_m=0.0, place_m=0.0, tilt_rad=(0.0, 0.0), lean=(0.0, 0.0), lean_spread=(0.0, 0.0), lamp=0.0,
+    shift_px=0.0, backlash_m=0.0, force_noise_n=1e-4, force_drift_n=0.0, force_step_n=0.0,
+    frame_jitter_s=0.0, relaxation=(),
+)  # fmt: skip
 """Nothing varies: for tests of everything else."""
 
 
@@ -67,17 +57,10 @@ def quick(**kwargs: Any) -> StepHold:
 def plan(**kwargs: Any) -> StepHold:
     """Two places, two cycles, three depths, two frames: 16 shots with the references."""
     settings: dict[str, Any] = {
-        "name": "small",
-        "places": Listed(kind="listed", at_mm=((0.0, 0.0), (6.0, -4.0))),
-        "cycles": 2,
-        "depth_mm": 1.2,
-        "step_mm": 0.4,
-        "frames": 2,
-        "reference_frames": 1,
-        "clearance_mm": CLEARANCE_MM,
-        "travel_mm_s": 50.0,
-        "taps": 0,
-    }
+        "name": "small", "places": Listed(kind="listed", at_mm=((0.0, 0.0), (6.0, -4.0))), "cycles": 2,
+        "depth_mm": 1.2, "step_mm": 0.4, "frames": 2, "reference_frames": 1, "clearance_mm": CLEARANCE_MM,
+        "travel_mm_s": 50.0, "taps": 0,
+    }  # fmt: skip
     return StepHold(**{**settings, **kwargs})
 
 

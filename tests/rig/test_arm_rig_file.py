@@ -23,14 +23,10 @@ from palpate.rig.rig_file import UrArmPart, open_rig, read_rig
 
 HOST = "127.{}.{}.1".format(*divmod(os.getpid() % 60_000, 250))  # an arm has one holder
 STAGE = {
-    "kind": "ur-arm",
-    "host": HOST,
-    "rotation": [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]],
-    "zero_mm": [400.0, 100.0, 200.0],
-    "tool_rotvec_rad": [math.pi, 0.0, 0.0],
-    "least_mm": [-30.0, -30.0, -40.0],
-    "greatest_mm": [30.0, 30.0, 9.0],
-}
+    "kind": "ur-arm", "host": HOST, "rotation": [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]],
+    "zero_mm": [400.0, 100.0, 200.0], "tool_rotvec_rad": [math.pi, 0.0, 0.0],
+    "least_mm": [-30.0, -30.0, -40.0], "greatest_mm": [30.0, 30.0, 9.0],
+}  # fmt: skip
 HANGS = (0.4, 0.1, 0.212, math.pi, 0.0, 0.0)  # 12 mm above the skin
 STIFFNESS_N_M = 4000.0
 NOISE_N = 0.002
@@ -45,12 +41,8 @@ class ArmLab:
             "name": "arm",
             "stage": STAGE,
             "force": {
-                "kind": "netft",
-                "host": box.host,
-                "rdt_port": box.rdt_port,
-                "http_port": box.http_port,
-                "silence_s": 0.5,
-                "axes": ["x", "y", "-z"],
+                "kind": "netft", "host": box.host, "rdt_port": box.rdt_port, "http_port": box.http_port,
+                "silence_s": 0.5, "axes": ["x", "y", "-z"],
             },
             "camera": {"kind": CAMERA, "lab": str(folder)},
             "limits": {
@@ -59,7 +51,7 @@ class ArmLab:
                 "force_N": 15.0,
                 "age_s": 0.4,
             },
-        }
+        }  # fmt: skip
 
     def write(self, **stage) -> str:
         self.path.write_text(toml_text({**self.fields, "stage": {**STAGE, **stage}}))
@@ -90,14 +82,11 @@ def lab(tmp_path, monkeypatch):
         ({"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}, "rotation mirrors"),
         ({"rotation": [[1, 0, 0], [0, -1, 0], [0, 0, -0.9]]}, "not orthonormal"),
         ({"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}, "180 degrees"),
-        ({"top_speed_mm_s": 251.0}, "top_speed_mm_s is"),
-        ({"stop_mm_s2": 50.0}, "stop_mm_s2 is"),
-        ({"tilt_deg": 5.0}, "tilt_deg is"),
-        ({"host": "a host"}, "no host"),
-        ({"greatest_mm": [-30.0, 30.0, 9.0]}, "box along"),
-        ({"home": True}, "stage.home: Extra"),
+        ({"top_speed_mm_s": 251.0}, "top_speed_mm_s is"), ({"stop_mm_s2": 50.0}, "stop_mm_s2 is"),
+        ({"tilt_deg": 5.0}, "tilt_deg is"), ({"host": "a host"}, "no host"),
+        ({"greatest_mm": [-30.0, 30.0, 9.0]}, "box along"), ({"home": True}, "stage.home: Extra"),
     ],
-)
+)  # fmt: skip
 def test_a_file_that_says_an_arm_wrongly_is_refused_by_field(lab, field, says) -> None:
     with pytest.raises(InputError, match=says):
         read_rig(Path(lab.write(**field)))

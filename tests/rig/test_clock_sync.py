@@ -58,13 +58,9 @@ def test_taps_find_how_late_frames_are_stamped_and_the_run_holds_what_it_was_fou
     force = run.force()
     tapped = force[force["time_s"].between(tared_s, event_s)]
     again = offset_between(
-        tapped["time_s"].to_numpy(),
-        tapped["fz_N"].to_numpy(),
-        event_s - np.array(stored["frames_ago_s"]),
-        np.array(stored["change"]),
-        exposure_s=float(run.frame(0).exposure_s or 0),
-        most_s=MAX_S,
-    )
+        tapped["time_s"].to_numpy(), tapped["fz_N"].to_numpy(), event_s - np.array(stored["frames_ago_s"]),
+        np.array(stored["change"]), exposure_s=float(run.frame(0).exposure_s or 0), most_s=MAX_S,
+    )  # fmt: skip
     assert again.seconds == pytest.approx(outcome.clocks.seconds, abs=2e-4)
 
 

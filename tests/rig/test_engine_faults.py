@@ -28,26 +28,16 @@ CENTRE = Listed(kind="listed", at_mm=((0.0, 0.0),))
 @pytest.mark.parametrize(
     ("fault", "reason"),
     [
-        ("force-stalls", Reason.FORCE_STALE),
-        ("force-saturates", Reason.FORCE_FAULT),
-        ("force-gone", Reason.FORCE_SENSOR),
-        ("force-spike", Reason.FORCE_LIMIT),
-        ("force-noisy", Reason.FORCE_NOISE),
-        ("force-reversed", Reason.FORCE_REVERSED),
-        ("force-dead", Reason.FORCE_DEAD),
-        ("force-scaled", Reason.FORCE_SCALED),
-        ("force-held-back", Reason.FORCE_LATE),
-        ("force-slow", Reason.FORCE_SLOW),
-        ("stage-gone", Reason.STAGE),
-        ("stage-stuck", Reason.STAGE),
-        ("stage-slips", Reason.STAGE),
-        ("camera-gone", Reason.CAMERA),
-        ("camera-frozen", Reason.CAMERA),
-        ("camera-resized", Reason.CAMERA),
-        ("camera-stalls", Reason.CAMERA),
-        ("layer-gone", Reason.NO_CONTACT),
+        ("force-stalls", Reason.FORCE_STALE), ("force-saturates", Reason.FORCE_FAULT),
+        ("force-gone", Reason.FORCE_SENSOR), ("force-spike", Reason.FORCE_LIMIT),
+        ("force-noisy", Reason.FORCE_NOISE), ("force-reversed", Reason.FORCE_REVERSED),
+        ("force-dead", Reason.FORCE_DEAD), ("force-scaled", Reason.FORCE_SCALED),
+        ("force-held-back", Reason.FORCE_LATE), ("force-slow", Reason.FORCE_SLOW),
+        ("stage-gone", Reason.STAGE), ("stage-stuck", Reason.STAGE), ("stage-slips", Reason.STAGE),
+        ("camera-gone", Reason.CAMERA), ("camera-frozen", Reason.CAMERA), ("camera-resized", Reason.CAMERA),
+        ("camera-stalls", Reason.CAMERA), ("layer-gone", Reason.NO_CONTACT),
     ],
-)
+)  # fmt: skip
 @pytest.mark.parametrize("after_s", [0.1, pytest.param(1.2, marks=pytest.mark.slow)])
 @pytest.mark.cases(2)
 def test_every_fault_stops_with_its_name_and_the_run_goes_on_afterwards(tmp_path, fault, reason, after_s):

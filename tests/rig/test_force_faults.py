@@ -21,13 +21,9 @@ from palpate.rig.virtual.virtual_force import BIAS_N
 ALLOWED_MM = 0.2  # from the step at which the force read is five standard deviations off
 ALLOWED_COARSE_MM = 0.3  # whose quantum is thrice its noise: before contact, and on a soft specimen
 NAMES = {
-    "force-stuck": "force-stuck",
-    "force-dead": "force-dead",
-    "force-reversed": "force-reversed",
-    "force-scaled": "force-scaled",
-    "force-held-back": "force-late",
-    "force-slow": "force-slow",
-}
+    "force-stuck": "force-stuck", "force-dead": "force-dead", "force-reversed": "force-reversed",
+    "force-scaled": "force-scaled", "force-held-back": "force-late", "force-slow": "force-slow",
+}  # fmt: skip
 PHASES = ("seek", "press", "hold", "slide", "retreat")
 Go = Callable[[], object]
 

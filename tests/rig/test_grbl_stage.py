@@ -101,25 +101,6 @@ def test_stops_from_many_threads_are_one_stop(grbl_open):
     assert stage.position_m() == pytest.approx(metres(bench.place_mm), abs=1e-6)
 
 
-def test_a_hold_that_meets_a_stage_just_reset_is_cleared_too(grbl_open, monkeypatch):
-    bench, stage = grbl_open(GrblParameters(homed=True, hold_cancels_jog=False))
-    bench.move_to_speed(stage, (-0.030, 0.050, 0.050), 0.010)
-    bench.say(b"!")
-    reset, held = stage._session.reset, []
-
-    def reset_and_hold(**words):  # as another thread's stop can
-        reset(**words)
-        if len(held) < 2:
-            held.append(True)
-            stage._link.slow_down(b"!")
-
-    monkeypatch.setattr(stage._session, "reset", reset_and_hold)
-    stage.stop()
-    assert len(held) == 2
-    assert stage.position_m() == pytest.approx(metres(bench.place_mm), abs=1e-6)
-    assert not stage.moving()
-
-
 def test_a_move_recalled_before_it_was_sent_is_not_sent(grbl_open, monkeypatch):
     bench, stage = grbl_open()
     before = bench.received
@@ -173,16 +154,6 @@ def test_a_speed_that_it_cannot_run_at_is_refused_before_anything_is_sent(grbl_o
     with pytest.raises(RangeError, match="speed"):
         stage.move_to(START, speed)
     assert bench.received == before
-
-
-def test_the_host_keeps_its_own_limits(grbl_open):
-    _bench, stage = grbl_open(
-        least_m=(-0.06, 0.04, 0.049), greatest_m=(-0.04, 0.06, 0.051), top_speed_m_s=0.002
-    )
-    with refused("outside-travel", RangeError, match=r"0\.051"):
-        stage.move_to((-0.050, 0.050, 0.0511), 0.001)
-    with pytest.raises(RangeError, match="speed"):
-        stage.move_to(START, 0.003)
 
 
 def test_what_the_controller_refuses_it_says_and_does_not_do(grbl_open):
@@ -317,10 +288,6 @@ class TestHoming:
         with pytest.raises(DeviceError, match=r"\$22=0"):
             stage.move_to((0.001, 0.0, 0.0), 0.01)
 
-    def test_no_place_is_taken_that_is_none(self, grbl_bench):
-        with pytest.raises(RangeError):
-            grbl_bench().open().reference((math.nan, 0.0, 0.0))
-
     def test_unlocked_is_not_homed(self, grbl_open):
         _bench, stage = grbl_open(GrblParameters(), known=False)
         stage.unlock()
@@ -332,12 +299,6 @@ class TestHoming:
 
 
 class TestPorts:
-    def test_a_port_has_one_master(self, grbl_bench):
-        bench = grbl_bench()
-        with bench.open(), pytest.raises(DeviceError, match="in use"):
-            GrblStage.open(bench.spec)
-        bench.open()  # and is free again
-
     def test_a_port_that_is_not_there_is_refused_with_those_that_are(self, monkeypatch):
         there = [SimpleNamespace(device="/dev/ttyACM7", serial_number="5583", hwid="USB")]
         monkeypatch.setattr(serial_port, "_ports", lambda: there)
@@ -363,14 +324,11 @@ class TestPorts:
 @pytest.mark.parametrize(
     "words",
     [
-        {"axes": ("+X", "+X", "-Z")},
-        {"least_m": (0.0, 0.0, 0.0)},
-        {"least_m": (0.0, 0.0, 0.0), "greatest_m": (1.0, 1.0, 0.0)},
-        {"latency_s": -1.0},
-        {"boot_s": math.nan},
-        {"top_speed_m_s": 0.0},
+        {"axes": ("+X", "+X", "-Z")}, {"least_m": (0.0, 0.0, 0.0)},
+        {"least_m": (0.0, 0.0, 0.0), "greatest_m": (1.0, 1.0, 0.0)}, {"latency_s": -1.0},
+        {"boot_s": math.nan}, {"top_speed_m_s": 0.0},
     ],
-)
+)  # fmt: skip
 def test_a_spec_that_makes_no_sense_is_refused(words):
     with pytest.raises(InputError):
         GrblSpec("/dev/ttyACM0", **words)

@@ -12,7 +12,6 @@ from tests.slow_params import mostly_slow
 
 from palpate.core.clock import MonotonicClock
 from palpate.core.errors import DeviceError, RangeError
-from palpate.rig.real.grbl.grbl_link import GrblLink
 from palpate.rig.real.grbl.grbl_move import MoveSupervisor
 from palpate.rig.real.grbl.grbl_supervisor import GrblMachine, GrblSpec
 
@@ -178,10 +177,3 @@ def _along(length_mm: float, speed_mm_s: float, until_s: float, rate: float = 50
         new = min(speed + rate * step_s, top, max(slow, 0.0))
         along, speed = min(along + (speed + new) / 2 * step_s, length_mm), new
     return along
-
-
-def test_the_link_ends_its_threads_when_it_is_closed(grbl_bench):
-    bench = grbl_bench(MODELS["Grbl 1.1h"])
-    link: GrblLink = bench.open()._link
-    link.close()
-    assert not [thread for thread in link._threads if thread.is_alive()]

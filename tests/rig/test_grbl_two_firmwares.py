@@ -92,20 +92,6 @@ def test_stops_of_short_jogs_at_random_lose_no_position(stage):
         assert stage.position_m()[0] == pytest.approx(counted_mm(stage)[0] / 1e3, abs=1e-6)
 
 
-def test_a_door_command_in_a_jog_keeps_the_position(where):
-    with GrblStage.open(spec(where[0], still_s=3.0)) as stage:
-        stage.reference((0.0, 0.0, 0.0))
-        run_up(stage, (0.045, 0.0, 0.0))
-        stage._link._write(b"\x84")
-        with pytest.raises(DeviceError):
-            arrive(stage)
-        stage.stop()
-        assert stage.position_m()[0] < 0.04
-        stage.move_to((0.0, 0.0, 0.0), 0.02)
-        arrive(stage)
-        assert stage.position_m() == pytest.approx((0.0, 0.0, 0.0), abs=1e-5)
-
-
 def test_without_the_jog_cancel_only_1_1_stops_short(where):
     """The control: grblHAL ignores a hold in a jog, and the stop says that it went on."""
     path, firmware = where
@@ -170,21 +156,6 @@ def test_a_reset_in_motion_is_an_alarm_and_loses_the_place(stage):
     stage.reference((0.0, 0.0, 0.0))
     stage.move_to((0.001, 0.0, 0.0), SPEED_M_S)
     arrive(stage)
-
-
-@pytest.mark.slow
-def test_homing_ends_homed_or_is_refused_with_the_place_unknown(where):
-    path, _ = where
-    with Talk(path) as talk:
-        assert talk.send("$22=1")[-1] == "ok"
-    with GrblStage.open(spec(path, home_s=300.0, least_m=None, greatest_m=None)) as stage:
-        try:
-            stage.home()
-        except DeviceError:
-            with pytest.raises(DeviceError):
-                stage.position_m()
-        else:
-            assert math.dist(stage.position_m(), (0.0, 0.0, 0.0)) < 0.02
 
 
 def test_a_port_that_is_opened_anew_in_motion_is_stopped_and_its_place_unknown(where):

@@ -25,13 +25,9 @@ from palpate.rig.virtual import Fault, virtual_rig
 
 def jogged(rig: Rig, **given: Any) -> float:
     jog(
-        rig.stage,
-        rig.force,
-        rig.mounting,
-        rig.limits,
-        rig.clock,
+        rig.stage, rig.force, rig.mounting, rig.limits, rig.clock,
         **{"axis": "z", "distance_m": 1e-3, "speed_m_s": 2e-3} | given,
-    )
+    )  # fmt: skip
     return rig.stage.position_m()[2]
 
 

@@ -3,28 +3,18 @@
 from __future__ import annotations
 
 import itertools
-import threading
-import time
-from contextlib import closing
 from typing import Any
 
 import pytest
 from tests.fakes.grbl_parameters import GrblParameters
 from tests.refusals import refused
-from tests.rig.lab_files import lab_file, palpate
-from tests.rig.test_preflight import small
-from tests.rig.test_rig_setup import LABS
 
 from palpate.core import DeviceError, HardwareStopError, Wrench
 from palpate.devices import Limits, Mounting, OperatorControl
 from palpate.devices.force_bias import ForceBias
 from palpate.devices.motion_guard import MotionGuard
 from palpate.devices.motion_limits import Reason, Tripped
-from palpate.recordings import Run
 from palpate.rig.commissioning.bench import Bench, bench_status
-from palpate.rig.engine import record
-from palpate.rig.rig_file import open_rig
-from palpate.rig.run_progress import State
 
 FIRMWARES = ["1.1h", "grblHAL"]
 INPUTS = {"door": "its door input", "hold": "its hold input"}
@@ -118,38 +108,3 @@ def test_the_control_a_stop_that_the_computer_asked_for_is_no_hardware_stop(grbl
         stage.stop()
         stage.move_to((x, y, z), 0.02)
         bench.arrive(stage)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("firmware", FIRMWARES)
-def test_a_door_opened_in_a_recording_is_in_its_events_and_nothing_moves_after_it(
-    tmp_path, monkeypatch, firmware
-):
-    settings = {1: 255, 120: 500, 121: 500, 122: 500}
-    model = GrblParameters(homed=True, start_mm=(-50.0, -50.0, -20.0), settings=settings, firmware=firmware)
-    with lab_file(tmp_path, model=model) as lab:
-        monkeypatch.setitem(LABS, "lab", lab)
-        kind = "tests.rig.test_rig_setup:LabForce"
-        lab.fields["force"] = {"kind": kind, "lab": "lab", "axes": ["x", "y", "-z"]}
-
-        def open_when_down() -> None:
-            while -lab.stage.place_mm[2] < 29.9:
-                time.sleep(0.005)
-            with lab.terminal.lock:
-                lab.stage.open_door()
-
-        person = threading.Thread(target=open_when_down, daemon=True)
-        with closing(open_rig(lab.write())) as rig:
-            person.start()
-            outcome = record(rig, small(), tmp_path / "run")
-            after = lab.stage.place_mm
-            time.sleep(0.3)
-            assert lab.stage.place_mm == after
-            with lab.terminal.lock:
-                lab.stage.door_open = False
-        assert outcome.state is State.FAILED
-        assert outcome.reason is Reason.HARDWARE_STOP
-        events = Run.open(tmp_path / "run").events()
-        assert "door input" in events[events["kind"] == "state"]["fields"].iloc[-1]
-        status = palpate("rig", "status", lab.write())
-        assert "stage_says: Idle" in status.stdout, status

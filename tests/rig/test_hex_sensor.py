@@ -102,15 +102,6 @@ class TestSamples:
             (len(samples) - 1 - k) * 1_000_000 for k in range(len(samples))
         ]
 
-    def test_those_that_come_sooner_than_their_rate_keep_their_order(self):
-        stream = frames()
-        stream.take(bytes_of(box := HexBox(), 0.1), 10**9)
-        first = stream.take(bytes_of(box, 0.11), 2 * 10**9)
-        later = stream.take(bytes_of(box, 0.12), 2 * 10**9 + 5_000_000)
-        times = [one.time_ns for one in first + later]
-        assert times == sorted(set(times))
-        assert times[-1] == 2 * 10**9 + 5_000_000
-
     @pytest.mark.parametrize(("fz", "fault"), [(math.nan, "not-a-number"), (-50.1, "force-range")])
     def test_what_is_no_force_is_a_fault_and_no_number(self, fz, fault):
         stream = frames()

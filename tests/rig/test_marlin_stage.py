@@ -271,14 +271,9 @@ def test_a_build_that_tells_its_place_only_at_the_end_is_refused(opened) -> None
         MarlinFaults(noise=b"\xff\x00\n"),
     ],
     ids=[
-        "lines lost",
-        "lines damaged",
-        "answers garbled",
-        "ok of a move lost",
-        "ok of a place lost",
-        "noise",
+        "lines lost", "lines damaged", "answers garbled", "ok of a move lost", "ok of a place lost", "noise",
     ],
-)
+)  # fmt: skip
 @pytest.mark.cases(2)
 def test_lost_and_damaged_lines_cost_time_and_no_move_and_no_place(opened, faults) -> None:
     one, stage = opened(reply_s=0.15)

@@ -38,14 +38,10 @@ def test_a_page_says_counts_units_range_rate_and_what_the_box_subtracts() -> Non
 @pytest.mark.parametrize(
     ("unit", "newtons"),
     [
-        ("lbf", 4.4482216152605),
-        ("N", 1.0),
-        ("klbf", 4448.2216152605),
-        ("kN", 1000.0),
-        ("kgf", 9.80665),
+        ("lbf", 4.4482216152605), ("N", 1.0), ("klbf", 4448.2216152605), ("kN", 1000.0), ("kgf", 9.80665),
         ("gf", 9.80665e-3),
     ],
-)
+)  # fmt: skip
 def test_every_force_unit_becomes_newtons(unit: str, newtons: float) -> None:
     found = calibration(page(cfgcpf="4000", scfgfu=unit, cfgmr="2;2;4;1;1;1"))
     assert found.force_n((4000, 8000, -4000, 0, 0, 0)) == pytest.approx((newtons, 2 * newtons, -newtons))
@@ -55,18 +51,11 @@ def test_every_force_unit_becomes_newtons(unit: str, newtons: float) -> None:
 @pytest.mark.parametrize(
     ("unit", "newton_metres"),
     [
-        ("lbf-in", 0.1129848290276167),
-        ("lbf-ft", 1.3558179483314004),
-        ("N-m", 1.0),
-        ("Nm", 1.0),
-        ("N-mm", 1e-3),
-        ("Nmm", 1e-3),
-        ("kgf-cm", 0.0980665),
-        ("kg-cm", 0.0980665),
-        ("kN-m", 1000.0),
+        ("lbf-in", 0.1129848290276167), ("lbf-ft", 1.3558179483314004), ("N-m", 1.0), ("Nm", 1.0),
+        ("N-mm", 1e-3), ("Nmm", 1e-3), ("kgf-cm", 0.0980665), ("kg-cm", 0.0980665), ("kN-m", 1000.0),
         ("kNm", 1000.0),
     ],
-)
+)  # fmt: skip
 def test_every_torque_unit_in_either_spelling_becomes_newton_metres(unit: str, newton_metres: float) -> None:
     found = calibration(page(cfgcpt="999.999", scfgtu=unit))
     assert found.torque_nm((0, 0, 0, 999999, 0, 0))[0] == pytest.approx(1000 * newton_metres)

@@ -25,36 +25,13 @@ U32 = st.integers(0, 2**32 - 1)
 
 # Typed anew from the protocol's description, not imported.
 BITS = {
-    30: "processor or memory",
-    29: "digital board",
-    28: "analog board",
-    27: "serial link",
-    26: "program memory",
-    25: "halted",
-    24: "settings",
-    23: "calibration",
-    22: "network",
-    21: "CAN",
-    20: "RDT",
-    19: "EtherNet/IP",
-    18: "DeviceNet",
-    17: "saturated",
-    16: "monitor condition",
-    14: "watchdog",
-    13: "stack",
-    12: "EEPROM",
-    11: "flash",
-    10: "analog watchdog",
-    9: "excitation high",
-    8: "excitation low",
-    7: "analog ground",
-    6: "supply high",
-    5: "supply low",
-    4: "serial data",
-    3: "reference",
-    2: "temperature",
-    1: "HTTP",
-}
+    30: "processor or memory", 29: "digital board", 28: "analog board", 27: "serial link",
+    26: "program memory", 25: "halted", 24: "settings", 23: "calibration", 22: "network", 21: "CAN",
+    20: "RDT", 19: "EtherNet/IP", 18: "DeviceNet", 17: "saturated", 16: "monitor condition", 14: "watchdog",
+    13: "stack", 12: "EEPROM", 11: "flash", 10: "analog watchdog", 9: "excitation high", 8: "excitation low",
+    7: "analog ground", 6: "supply high", 5: "supply low", 4: "serial data", 3: "reference",
+    2: "temperature", 1: "HTTP",
+}  # fmt: skip
 
 
 @pytest.mark.parametrize(

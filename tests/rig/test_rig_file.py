@@ -188,18 +188,10 @@ def test_a_stage_that_cannot_be_as_it_is_stated_is_refused_before_its_port_is_op
 def test_what_a_file_says_of_a_stage_without_switches_reaches_its_driver(grbl_bench: Any) -> None:
     bench = grbl_bench(GrblParameters(settings={20: 0, 22: 0}, homed=True), clock=MonotonicClock())
     part = GrblPart(
-        kind="grbl",
-        port=bench.terminal.path,
-        require_homed=False,
-        reference=(1.0, 2.0, 3.0),
-        steps_per_mm=(250, 250, 250),
-        direction_mask=0,
-        least_mm=(-10, -10, -10),
-        greatest_mm=(10, 10, 10),
-        top_speed_mm_s=3.0,
-        boot_s=0.05,
-        reply_s=10.0,
-    )
+        kind="grbl", port=bench.terminal.path, require_homed=False, reference=(1.0, 2.0, 3.0),
+        steps_per_mm=(250, 250, 250), direction_mask=0, least_mm=(-10, -10, -10), greatest_mm=(10, 10, 10),
+        top_speed_mm_s=3.0, boot_s=0.05, reply_s=10.0,
+    )  # fmt: skip
     stage = part.open(MonotonicClock(), position="reference")
     try:
         assert stage.position_m() == pytest.approx((1e-3, 2e-3, 3e-3))
@@ -210,15 +202,11 @@ def test_what_a_file_says_of_a_stage_without_switches_reaches_its_driver(grbl_be
 
 
 TOO_SMALL = [
-    ("limits", "step_mm", 1e-9, "mm"),
-    ("limits", "force_rate_N_s", 1e-9, "N/s"),
-    ("limits", "overshoot_mm", 1e-9, "mm"),
-    ("limits", "age_s", 1e-9, "s"),
-    ("stage", "top_speed_mm_s", 1e-9, "mm/s"),
-    ("stage", "latency_s", 1e-9, "s"),
-    ("stage", "stop_s", 1e-9, "s"),
-    ("force", "silence_s", 1e-9, "s"),
-]
+    ("limits", "step_mm", 1e-9, "mm"), ("limits", "force_rate_N_s", 1e-9, "N/s"),
+    ("limits", "overshoot_mm", 1e-9, "mm"), ("limits", "age_s", 1e-9, "s"),
+    ("stage", "top_speed_mm_s", 1e-9, "mm/s"), ("stage", "latency_s", 1e-9, "s"),
+    ("stage", "stop_s", 1e-9, "s"), ("force", "silence_s", 1e-9, "s"),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("table", "field", "value", "unit"), TOO_SMALL)

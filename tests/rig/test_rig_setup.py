@@ -137,22 +137,13 @@ def answers_of(one: Lab, **changed: Any) -> LabAnswers:
     return LabAnswers(
         one,
         {
-            "name": "bench 2",
-            "stage_ports": [one.bench.terminal.path],
-            "boot_s": 0.05,
-            "latency_s": 0.01,
-            "force_kind": "tests.rig.test_rig_setup:LabForce",
-            "force_options": {"lab": "bench 2"},
-            "camera_kind": "tests.rig.test_rig_setup:fake_camera",
-            "may_move": True,
-            "home": False,
-            "reach_mm": 4.0,
-            "mass_g": WEIGHT_G,
-            "mass_tolerance_g": 0.2,
-            "weight_lies": True,
+            "name": "bench 2", "stage_ports": [one.bench.terminal.path], "boot_s": 0.05, "latency_s": 0.01,
+            "force_kind": "tests.rig.test_rig_setup:LabForce", "force_options": {"lab": "bench 2"},
+            "camera_kind": "tests.rig.test_rig_setup:fake_camera", "may_move": True, "home": False,
+            "reach_mm": 4.0, "mass_g": WEIGHT_G, "mass_tolerance_g": 0.2, "weight_lies": True,
         }
         | changed,
-    )
+    )  # fmt: skip
 
 
 def walked(one: Lab, out: Path, **changed: Any) -> Any:
@@ -191,18 +182,10 @@ def test_a_setup_of_a_stage_that_releases_its_motors_asks_before_it_believes_the
 def test_a_setup_that_may_move_nothing_writes_what_it_found_and_says_what_it_did_not(tmp_path: Path) -> None:
     with lab() as one:
         made, file, _ = walked(
-            one,
-            tmp_path / "rig.toml",
-            may_move=False,
-            mass_g=0,
-            latency_s=0.2,
-            force_kind="netft",
-            force_host="127.0.0.1",
-            force_rdt_port=one.box.rdt_port,
-            force_http_port=one.box.http_port,
-            force_silence_s=0.5,
-            typo=1,
-        )
+            one, tmp_path / "rig.toml", may_move=False, mass_g=0, latency_s=0.2, force_kind="netft",
+            force_host="127.0.0.1", force_rdt_port=one.box.rdt_port, force_http_port=one.box.http_port,
+            force_silence_s=0.5, typo=1,
+        )  # fmt: skip
         assert one.bench.place_mm == (-50.0, -50.0, -5.0)
         assert b"J=" not in one.bench.received
         usual_m_s = StepHold(places=Grid()).press_mm_s * 1e-3

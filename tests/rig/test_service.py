@@ -32,16 +32,9 @@ MAX_S = 30.0  # for anything to come about, however busy the machine
 def tiny(**changed):
     """One place, two shots."""
     fields = {
-        "name": "tiny",
-        "places": {"kind": "listed", "at_mm": [[0.0, 0.0]]},
-        "cycles": 1,
-        "depth_mm": 0.5,
-        "step_mm": 0.5,
-        "frames": 1,
-        "reference_frames": 1,
-        "taps": 0,
-        "seek_mm_s": 5.0,
-    }
+        "name": "tiny", "places": {"kind": "listed", "at_mm": [[0.0, 0.0]]}, "cycles": 1, "depth_mm": 0.5,
+        "step_mm": 0.5, "frames": 1, "reference_frames": 1, "taps": 0, "seek_mm_s": 5.0,
+    }  # fmt: skip
     return fields | changed
 
 
@@ -152,26 +145,16 @@ def test_a_run_asked_for_over_the_socket_holds_exactly_the_plans_shots(quick, wh
 
 
 HOSTILE = [
-    b"GET / HTTP/1.1\r\nHost: x\r\n\r\n",
-    b"\x00\xff\xfe\n",
-    b"[]\n",
-    b"null\n",
-    b"[" * 100_000 + b"\n",
-    b'{"do": NaN}\n',
-    b'{"do": ["estop"]}\n',
-    b'{"do": "plan"}\n',
+    b"GET / HTTP/1.1\r\nHost: x\r\n\r\n", b"\x00\xff\xfe\n", b"[]\n", b"null\n", b"[" * 100_000 + b"\n",
+    b'{"do": NaN}\n', b'{"do": ["estop"]}\n', b'{"do": "plan"}\n',
     b'{"do": "plan", "plan": {"cycles": 1e999}}\n',
     b'{"do": "plan", "plan": {"places": {"kind": "scattered", "count": 100000}}}\n',
     b'{"do": "plan", "plan": {"cycles": 1000000}}\n',
     b'{"do": "plan", "plan": {"depth_mm": 1.0, "step_mm": 1e-300}}\n',
-    b'{"do": "start", "out": "a\\u0000b"}\n',
-    b'{"do": "start", "out": "\\ud800"}\n',
-    b'{"do": "start", "out": "../x"}\n',
-    b'{"do": "start", "out": ""}\n',
-    b'{"do": "start", "out": 7}\n',
-    b'{"do": "resume", "id": 1e400}\n',
-    b'{"do": "pause", "id": {}}\n',
-]
+    b'{"do": "start", "out": "a\\u0000b"}\n', b'{"do": "start", "out": "\\ud800"}\n',
+    b'{"do": "start", "out": "../x"}\n', b'{"do": "start", "out": ""}\n', b'{"do": "start", "out": 7}\n',
+    b'{"do": "resume", "id": 1e400}\n', b'{"do": "pause", "id": {}}\n',
+]  # fmt: skip
 
 
 def test_whatever_is_sent_is_answered_with_an_error_and_changes_nothing(quick, folder):

@@ -47,13 +47,9 @@ class Person(LabAnswers):
 def scale(layout: str = "counts", sign: float = 1.0, rate_hz: float = 20.0) -> PrintingScale:
     Person.lies = False
     return PrintingScale(
-        lambda t: sign * MASS_G * 1e-3 * G * Person.lies + random.gauss(0.0, 1e-3),
-        layout=layout,
-        rate_hz=rate_hz,
-        delay_s=0.0,
-        count_n=COUNT_N,
-        now_s=now_s(),
-    )
+        lambda t: sign * MASS_G * 1e-3 * G * Person.lies + random.gauss(0.0, 1e-3), layout=layout,
+        rate_hz=rate_hz, delay_s=0.0, count_n=COUNT_N, now_s=now_s(),
+    )  # fmt: skip
 
 
 def walk(one: Any, out: Path, **changed: Any) -> tuple[dict[str, Any], str]:
@@ -98,12 +94,8 @@ def test_a_slow_load_cell_is_no_guard_and_is_refused_before_anything_moves(tmp_p
     }
     with lab() as one, served(scale(rate_hz=10.0)) as port:
         words = {
-            "force_port": port,
-            "force_rate_hz": 10.0,
-            "force_delay_s": 0.4,
-            "force_range_N": 20.0,
-            **slow,
-        }
+            "force_port": port, "force_rate_hz": 10.0, "force_delay_s": 0.4, "force_range_N": 20.0, **slow,
+        }  # fmt: skip
         with refused("force-delay", InputError, match=r"0\.5 s"):
             walk(one, tmp_path / "rig.toml", **words)
         assert b"$J" not in one.bench.received

@@ -77,17 +77,10 @@ def swept(tmp_path_factory: pytest.TempPathFactory) -> Swept:
     assert np.median(np.diff(force_t)) == pytest.approx(1 / FORCE_HZ)
     assert np.median(np.diff(run.times_s)) == pytest.approx(1 / FRAMES_HZ, rel=0.01)
     return Swept(
-        outcome.clocks,
-        force_t,
-        force["fz_N"].to_numpy(),
-        stage_t[first],
-        1e3 * stage["z_m"].to_numpy()[first],
-        run.times_s,
-        float(run.frame(0).exposure_s or 0.0),
-        labels["true_force_N"].to_numpy(),
-        labels["true_depth_mm"].to_numpy(),
-        labels["force_N"].to_numpy(),
-    )
+        outcome.clocks, force_t, force["fz_N"].to_numpy(), stage_t[first],
+        1e3 * stage["z_m"].to_numpy()[first], run.times_s, float(run.frame(0).exposure_s or 0.0),
+        labels["true_force_N"].to_numpy(), labels["true_depth_mm"].to_numpy(), labels["force_N"].to_numpy(),
+    )  # fmt: skip
 
 
 @pytest.mark.slow

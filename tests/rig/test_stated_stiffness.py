@@ -33,16 +33,9 @@ PLACE = Listed(kind="listed", at_mm=((0.0, 0.0),))
 UNTIL_N = 4.0
 FACTOR = 1.25
 RAMP = Ramp(
-    name="ramp",
-    kind="swept",
-    places=PLACE,
-    cycles=1,
-    until_N=UNTIL_N,
-    speed_mm_s=2.0,
-    taps=0,
-    threshold_N=0.1,
-    clearance_mm=CLEARANCE_MM,
-)
+    name="ramp", kind="swept", places=PLACE, cycles=1, until_N=UNTIL_N, speed_mm_s=2.0, taps=0,
+    threshold_N=0.1, clearance_mm=CLEARANCE_MM,
+)  # fmt: skip
 
 
 def swept(out: Path, gain: float, *, stated: bool = True, seed: int = 1) -> tuple[Any, float]:
@@ -130,15 +123,11 @@ class TestRange:
     @pytest.mark.parametrize(
         "wrong",
         [
-            ((), (), ()),
-            ((1.0, 2.0), (1.0,), (2.0, 3.0)),
-            ((2.0, 1.0), (1.0, 1.0), (2.0, 2.0)),
-            ((0.0, 1.0), (1.0, 1.0), (2.0, 2.0)),
-            ((1.0,), (2.0,), (2.0,)),
-            ((1.0,), (0.0,), (2.0,)),
+            ((), (), ()), ((1.0, 2.0), (1.0,), (2.0, 3.0)), ((2.0, 1.0), (1.0, 1.0), (2.0, 2.0)),
+            ((0.0, 1.0), (1.0, 1.0), (2.0, 2.0)), ((1.0,), (2.0,), (2.0,)), ((1.0,), (0.0,), (2.0,)),
             ((1.0,), (1.0,), (float("inf"),)),
         ],
-    )
+    )  # fmt: skip
     def test_a_range_that_is_none_is_refused(self, wrong: Any) -> None:
         with pytest.raises(RangeError):
             StiffnessRange(*wrong)

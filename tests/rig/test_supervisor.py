@@ -55,20 +55,10 @@ greatest_mm = [5, 5, 4]
 force_N = 6
 """
 PLAN = StepHold(
-    taps=0,
-    name="small",
-    places=Listed(kind="listed", at_mm=((0.0, 0.0), (1.0, 0.0))),
-    depth_mm=1.0,
-    step_mm=0.5,
-    frames=2,
-    reference_frames=1,
-    clearance_mm=1.5,
-    seek_mm=1.0,
-    travel_mm_s=15.0,
-    press_mm_s=2.0,
-    seek_mm_s=2.0,
-    cycles=1,
-)
+    taps=0, name="small", places=Listed(kind="listed", at_mm=((0.0, 0.0), (1.0, 0.0))), depth_mm=1.0,
+    step_mm=0.5, frames=2, reference_frames=1, clearance_mm=1.5, seek_mm=1.0, travel_mm_s=15.0,
+    press_mm_s=2.0, seek_mm_s=2.0, cycles=1,
+)  # fmt: skip
 
 
 class Supervised:
@@ -348,14 +338,6 @@ def test_whatever_ends_a_client_while_a_stage_homes_ends_that_as_well(supervised
             assert ([one.code for one in done.holders], done.code) == (["opening-ended"], "stopped-on-port")
         wait_for(lambda: bench.noted("abandoned"))
         assert client.wait(20) != 0
-
-
-@pytest.mark.slow
-def test_one_rig_has_one_supervisor_and_the_next_waits_until_it_has_let_go(supervised, monkeypatch) -> None:
-    bench = supervised()
-    with opened(bench), refused("already-driven", DeviceError):
-        open_rig(str(bench.path))
-    open_rig(str(bench.path)).close()
 
 
 def lingering() -> list[str]:

@@ -51,19 +51,13 @@ def device(what: str) -> SerialDevice:
     ("what", "part", "said"),
     mostly_slow(
         [
-            ("marlin", GRBL, "Marlin"),
-            ("scale", GRBL, "scale"),
-            ("modem", GRBL, "modem"),
-            ("noise", GRBL, "baud"),
-            ("silent", GRBL, "nothing"),
-            ("grbl", MARLIN, "GRBL"),
-            ("scale", MARLIN, "scale"),
-            ("modem", MARLIN, "modem"),
-            ("silent", MARLIN, "nothing"),
+            ("marlin", GRBL, "Marlin"), ("scale", GRBL, "scale"), ("modem", GRBL, "modem"),
+            ("noise", GRBL, "baud"), ("silent", GRBL, "nothing"), ("grbl", MARLIN, "GRBL"),
+            ("scale", MARLIN, "scale"), ("modem", MARLIN, "modem"), ("silent", MARLIN, "nothing"),
         ],
         lambda i: i == 0,
     ),
-)
+)  # fmt: skip
 def test_a_stages_port_that_is_another_device_is_refused_with_what_it_said(tmp_path, what, part, said):
     with lab_file(tmp_path) as lab, served(device(what)) as port:
         lab.fields["stage"] = {**part, "port": port}

@@ -178,16 +178,12 @@ def measured(rig: ObservedRig, fault: RigFault, state: str, ended: str, message:
         into_m = max(rig.unwatched_m, default=0.0)
         allowed_m = allowed_m if rig.unwatched_m else None  # it goes on as planned
     return {
-        "ended": ended,
-        "seen": str(where),
-        "message": message,
-        "stop_mm": nearest and 1e3 * nearest.way_m,
+        "ended": ended, "seen": str(where), "message": message, "stop_mm": nearest and 1e3 * nearest.way_m,
         "bound_mm": nearest and 1e3 * nearest.bound_m(travel.acceleration_m_s2, latency_s),
-        "obeyed": all(one.obeyed for one in stops),
-        "into_mm": None if allowed_m is None else 1e3 * into_m,
+        "obeyed": all(one.obeyed for one in stops), "into_mm": None if allowed_m is None else 1e3 * into_m,
         "allowed_mm": allowed_m and 1e3 * allowed_m,
         "height_mm": 1e3 * (rig.truth._origin[2] - rig.place_m[2]),
-    }
+    }  # fmt: skip
 
 
 def allowed_into_m(rig: ObservedRig, within: str, in_air: bool) -> float | None:
@@ -206,14 +202,9 @@ def allowed_into_m(rig: ObservedRig, within: str, in_air: bool) -> float | None:
     stop_m = travel.overshoot_m(speed)
     deepest_mm = plan.clearance_mm + plan.seek_mm + (min(plan.deepest_mm, 1.0) if plan.taps else 0.0)
     return {
-        AT_ONCE: speed * limits.force_latency_s + stop_m,
-        AGE: speed * limits.age_s + stop_m,
-        TRUST: TRUST_M,
-        STEP: limits.step_m,
-        NEXT: 2 * limits.step_m,
-        SEARCH: deepest_mm * 1e-3,
-        OPEN: None,
-    }[within]
+        AT_ONCE: speed * limits.force_latency_s + stop_m, AGE: speed * limits.age_s + stop_m, TRUST: TRUST_M,
+        STEP: limits.step_m, NEXT: 2 * limits.step_m, SEARCH: deepest_mm * 1e-3, OPEN: None,
+    }[within]  # fmt: skip
 
 
 def faults_of(cell: Cell, fault: RigFault) -> list[str]:

@@ -111,20 +111,12 @@ def page(cells: Sequence[Cell]) -> str:
         for firmware in FIRMWARES
     ]  # fmt: skip
     return PAGE.format(
-        states=len(STATES),
-        faults=len(EVERY_FAULT),
-        grbl_faults=len(GRBL_FAULTS),
-        cells=len(cells),
-        virtual=len(virtual),
-        grbl=len(grbl),
-        counts=_counts(cells),
-        stops=_stops(cells),
+        states=len(STATES), faults=len(EVERY_FAULT), grbl_faults=len(GRBL_FAULTS), cells=len(cells),
+        virtual=len(virtual), grbl=len(grbl), counts=_counts(cells), stops=_stops(cells),
         table=table(virtual, [fault.part for fault in EVERY_FAULT], EVERY_FAULT),
-        firmwares="\n\n".join(tables),
-        stays=_stays(cells),
-        elsewhere=_elsewhere(),
+        firmwares="\n\n".join(tables), stays=_stays(cells), elsewhere=_elsewhere(),
         open=", ".join(f"{fault.part}: {fault.name}" for fault in EVERY_FAULT if fault.within == OPEN),
-    )
+    )  # fmt: skip
 
 
 def firmware_title(firmware: str) -> str:

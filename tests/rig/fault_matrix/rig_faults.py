@@ -86,11 +86,7 @@ FAULTS = (
     ),
     force_fault("reversed", of_kind("force-reversed"), ("force-reversed",), within=TRUST, shows="force"),
     force_fault(
-        "stuck",
-        of_kind("force-stuck"),
-        ("force-stuck",),
-        within=TRUST,
-        shows="force",
+        "stuck", of_kind("force-stuck"), ("force-stuck",), within=TRUST, shows="force",
         elsewhere={"idle": Otherwise(("force-dead",), "it never showed noise in this run")},
     ),
     force_fault("dead, all zero", of_kind("force-dead"), ("force-dead",), within=TRUST, shows="force"),
@@ -243,7 +239,7 @@ FAULTS = (
             ),
         },
     ),
-)
+)  # fmt: skip
 """Faults that end a recording, in the order of the table's rows."""
 
 RECOVERY_FAULTS = (
