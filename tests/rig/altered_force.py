@@ -1,7 +1,5 @@
 """A force sensor whose samples come late with current timestamps, or have another gain."""
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import replace
 from typing import Any

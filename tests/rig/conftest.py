@@ -1,7 +1,5 @@
 """A fake GRBL stage at a real pseudo-terminal, with its driver, on a clock in the test's hand."""
 
-from __future__ import annotations
-
 import math
 import time
 from contextlib import ExitStack

@@ -1,8 +1,6 @@
 """Presses of a virtual rig under its guard, without camera or run: what was read, what was true, where it
 stood."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field

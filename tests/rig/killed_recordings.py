@@ -9,8 +9,6 @@ work kills at the same places; a few milliseconds of the clock follow, so that w
 What lay on disk at one kill must lie there at the next.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

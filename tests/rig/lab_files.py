@@ -1,7 +1,5 @@
 """Fakes of a stage, a force box and a camera at real ports and sockets, and their rig.toml."""
 
-from __future__ import annotations
-
 import os
 import random
 import subprocess

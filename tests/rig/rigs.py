@@ -1,7 +1,5 @@
 """Small virtual rigs and plans that the tests share."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A rig's file with an arm: what it refuses, and the rig's check on it."""
 
-from __future__ import annotations
-
 import math
 import os
 import random

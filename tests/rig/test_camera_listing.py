@@ -1,7 +1,5 @@
 """Cameras of the machine: what each tells by Video4Linux, who uses it, and what keeps palpate from it."""
 
-from __future__ import annotations
-
 import errno
 import os
 import struct

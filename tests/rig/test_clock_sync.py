@@ -1,7 +1,5 @@
 """Taps at the start of a recording set the frames' clock against the force's."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The engine: what it records, how it ends, and that nothing is repeated or skipped however it is cut."""
 
-from __future__ import annotations
-
 import json
 import os
 import threading

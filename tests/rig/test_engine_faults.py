@@ -1,7 +1,5 @@
 """The engine when something fails: every stop has its name, and the recording goes on afterwards."""
 
-from __future__ import annotations
-
 import math
 import os
 from dataclasses import replace

@@ -4,8 +4,6 @@ The ordinary suite runs every third fault of the rig in one state, by a fixed ru
 state, and a few cells of the stage; the slow tests run all.
 """
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 from collections import Counter

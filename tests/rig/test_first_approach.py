@@ -1,7 +1,5 @@
 """The first approach of a session is a guarded search whatever the stage reports; measured as true depth."""
 
-from __future__ import annotations
-
 import math
 from contextlib import closing
 from dataclasses import replace
@@ -17,6 +15,7 @@ from tests.rig.rigs import IDEAL, plan, rig
 from palpate.core import DeviceError, ForceSensor, Position, PositionUnknownError, Stage, Wrench
 from palpate.devices import OperatorCommand, OperatorControl, Reason, Tripped
 from palpate.rig import State, open_rig, record
+from palpate.rig.plans import Listed
 from palpate.rig.press_motion import PressMotion
 from palpate.rig.run_progress import Status
 

@@ -1,7 +1,5 @@
 """A real stage with a virtual force sensor and camera, named in one rig's file: they follow its place."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np

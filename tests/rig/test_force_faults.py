@@ -1,8 +1,6 @@
 """A force that is not believed: in every phase of a press each fault stops within its way and has its
 name."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

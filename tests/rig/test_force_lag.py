@@ -1,7 +1,5 @@
 """A force that is late under current timestamps is found in the first touch, before anything is pressed."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Force stamps that run backwards end a recording by their own name, and the probe is lifted."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Each fault that a GRBL stage was seen to have, or can have: made to happen, over a real pseudo-terminal."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """The parser takes any bytes, in any pieces, and what firmware was seen to say comes out as it was meant."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from itertools import pairwise
 

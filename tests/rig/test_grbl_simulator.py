@@ -3,8 +3,6 @@
 What Grbl 1.1 was seen to do is asked here; what both firmwares must do, in `test_grbl_two_firmwares`.
 """
 
-from __future__ import annotations
-
 import time
 from contextlib import ExitStack
 

@@ -1,7 +1,5 @@
 """The driver on a fake of Grbl 1.1h and grblHAL, over a real pseudo-terminal: when all goes well."""
 
-from __future__ import annotations
-
 import math
 import re
 import sys

@@ -1,7 +1,5 @@
 """Status of a GRBL stage on a period: what is lost, damaged or late on the wire costs no run and no place."""
 
-from __future__ import annotations
-
 import math
 import time
 

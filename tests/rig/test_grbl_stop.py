@@ -3,8 +3,6 @@
 All of it is on a fake that was made from observed behaviour; no real firmware has run here.
 """
 
-from __future__ import annotations
-
 import math
 from concurrent.futures import ThreadPoolExecutor
 

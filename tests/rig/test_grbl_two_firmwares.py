@@ -5,8 +5,6 @@ real time, so that times are generous; distances are counted in the controller's
 them, and do not depend on its pace.
 """
 
-from __future__ import annotations
-
 import math
 import random
 import time

@@ -1,7 +1,5 @@
 """Work by hand: no homing from within the skin, no zero in contact, no jog past a force or a ceiling."""
 
-from __future__ import annotations
-
 import math
 import random
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """The stage's own door and hold inputs: they stop it without the computer, which names them."""
 
-from __future__ import annotations
-
 import itertools
 from typing import Any
 

@@ -1,7 +1,5 @@
 """HEX six-axis sensors: where a sample begins is never guessed, and what goes wrong is told."""
 
-from __future__ import annotations
-
 import math
 import struct
 import time

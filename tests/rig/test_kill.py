@@ -1,7 +1,5 @@
 """Recordings that are killed at random moments: begun again, they hold their plan exactly."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

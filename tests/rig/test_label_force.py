@@ -1,7 +1,5 @@
 """A slow force sensor labels frames at a stand beside a fast one that guards, and never guards itself."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

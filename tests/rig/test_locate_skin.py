@@ -1,7 +1,5 @@
 """Where a layer lies is found by touching it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """The driver on a fake of Marlin, over a real pseudo-terminal: where it goes, how it stops, what it bears."""
 
-from __future__ import annotations
-
 import math
 import sys
 import threading

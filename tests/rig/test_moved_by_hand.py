@@ -1,7 +1,5 @@
 """Commissioning verbs: what ends them, what they refuse, and what a camera's rate is."""
 
-from __future__ import annotations
-
 import os
 import signal
 from typing import Any

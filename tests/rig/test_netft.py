@@ -1,7 +1,5 @@
 """The Net F/T driver against a box that is not there, over real sockets."""
 
-from __future__ import annotations
-
 import os
 import socket
 import struct

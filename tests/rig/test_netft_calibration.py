@@ -1,7 +1,5 @@
 """Reading a Net F/T box's page, which is anybody's text."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

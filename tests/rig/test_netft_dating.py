@@ -1,7 +1,5 @@
 """A Net F/T's samples are as old as its own numbers say; equal counts under running numbers are no force."""
 
-from __future__ import annotations
-
 import struct
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Every fault of a Net F/T box: injected over real sockets, and told for what it is."""
 
-from __future__ import annotations
-
 import math
 import socket
 import struct

@@ -4,8 +4,6 @@ Over real sockets and the driver. A busy computer delays records as well, so eac
 the fault makes, and the control, a box in time, may be busy once and is then listened to again.
 """
 
-from __future__ import annotations
-
 import time
 
 import pytest

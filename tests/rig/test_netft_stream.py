@@ -1,7 +1,5 @@
 """The packet layer of ATI's raw data transfer, against bytes written out by hand."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import given, strategies as st
 

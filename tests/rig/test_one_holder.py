@@ -1,7 +1,5 @@
 """One process at a time has a device, by whatever name: a second one is told the holder."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

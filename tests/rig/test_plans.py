@@ -1,7 +1,5 @@
 """Plans: which places, presses, shots and frames they ask for, and in which order."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

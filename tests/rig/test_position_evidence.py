@@ -1,7 +1,5 @@
 """A stored position is used again only with complete evidence; every other case is refused by its code."""
 
-from __future__ import annotations
-
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A real rig before its first motion: what is not as stated is named while all stands."""
 
-from __future__ import annotations
-
 import re
 import sys
 import time

@@ -1,7 +1,5 @@
 """A transient fault rejects one attempt at a press, which is repeated; every other fault ends the run."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Other indenters and lateral loads on the virtual rig: felt, seen, and refused where no law reaches."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

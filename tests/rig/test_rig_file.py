@@ -1,7 +1,5 @@
 """A rig from a file: what it says is opened, and what it says wrongly is refused by name."""
 
-from __future__ import annotations
-
 import re
 from contextlib import ExitStack
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Writes to a serial port: late only if the port takes nothing, never by a stall of the host."""
 
-from __future__ import annotations
-
 import os
 import time
 from collections.abc import Iterator

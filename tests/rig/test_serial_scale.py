@@ -1,7 +1,5 @@
 """Load cells and balances that print lines: what a line weighs, and what goes wrong is told."""
 
-from __future__ import annotations
-
 import math
 import sys
 import time

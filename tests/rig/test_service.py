@@ -14,6 +14,7 @@ import pytest
 from hypothesis import given, strategies as st
 from tests.refusals import refused
 
+from palpate.cli.study.study_verbs import _leave as leave_rig
 from palpate.core import InputError, RecordingError
 from palpate.core.errors import DeviceError, ProtocolError, SafetyError
 from palpate.devices.device_proxies import StageProxy

@@ -1,7 +1,5 @@
 """The guided setup with each kind of device, and with wrong answers: what a newcomer would stumble over."""
 
-from __future__ import annotations
-
 import random
 import sys
 import tomllib

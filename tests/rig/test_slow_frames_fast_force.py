@@ -1,7 +1,5 @@
 """Force and stage at 125 Hz beside 12 frames a second: each frame has the force of its own exposure."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A stated range of stiffness stops the first press under a force of another gain."""
 
-from __future__ import annotations
-
 import tomllib
 from dataclasses import replace
 from pathlib import Path

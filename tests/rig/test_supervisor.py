@@ -1,7 +1,5 @@
 """The supervisor's process: it guards as one process does, and lifts whatever becomes of its client."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal
@@ -111,7 +109,7 @@ def test_who_subscribed_is_told_and_a_force_reached_its_limit_and_an_exception_e
         places: list[float] = []
         guard.samples.subscribe(lambda batch: samples.extend(one.time_ns for one in batch))
         guard.positions.subscribe(lambda at, time_ns: places.append(at[2]))
-        assert guard.towards((0.0, 0.0, 3 * MM), 5 * MM, ForceReached(2.0))
+        assert guard.towards((0.0, 0.0, 3 * MM), 2 * MM, ForceReached(2.0))
         assert guard.position_m()[2] == pytest.approx(1.0 * MM, abs=0.1 * MM)
         assert samples == sorted(set(samples)), "in order, and none twice"
         gaps_ms = [(b - a) / 1e6 for a, b in pairwise(samples)]
@@ -120,7 +118,7 @@ def test_who_subscribed_is_told_and_a_force_reached_its_limit_and_an_exception_e
         guard.lift()
         assert guard.position_m()[2] == pytest.approx(FREE_M)
         with refused("force-limit", Tripped, match="6 N") as tripped:
-            guard.towards((0.0, 0.0, 4 * MM), 5 * MM, step_m=4 * MM)
+            guard.towards((0.0, 0.0, 4 * MM), 2 * MM, step_m=4 * MM)
         assert tripped.value.reason is Reason.FORCE_LIMIT
         guard.lift()
 

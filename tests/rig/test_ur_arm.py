@@ -1,7 +1,5 @@
 """The driver of an arm on a fake of ur_rtde: where it goes, how it stops, what it refuses."""
 
-from __future__ import annotations
-
 import math
 import os
 import sys
@@ -484,7 +482,7 @@ def test_a_guarded_press_of_an_arm_ends_at_its_force(opened) -> None:
     limits = Limits((-0.04, -0.04, -0.04), (0.04, 0.04, 0.009), force_n=15.0)
     guard = MotionGuard(stage, ArmSpring(rig), limits, ForceBias(), rig.clock, OperatorControl())
     guard.tare(250.0)
-    guard.towards((0.0, 0.0, -0.0005), 5e-3)
+    guard.towards((0.0, 0.0, -0.0005), 3e-3)
     assert guard.towards((0.0, 0.0, 0.006), 1e-3, ForceReached(stop_n))
     depth_m = stage.position_m()[2]
     reached_m = stop_n / STIFFNESS_N_M

@@ -1,7 +1,5 @@
 """The USB camera driver against a camera that is not there, and its faults told for what they are."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace

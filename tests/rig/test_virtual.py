@@ -1,7 +1,5 @@
 """The virtual twin: its motion, its skin, its force sensor and camera keep to their own laws."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

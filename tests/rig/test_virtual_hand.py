@@ -1,7 +1,5 @@
 """Laws of the virtual hand: what it holds is what the sensor feels, and the same seed is the same hand."""
 
-from __future__ import annotations
-
 import threading
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The virtual rig drives the TacTip: presses on specimens come back from the run as compliance reads them."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A port that is another device: refused before anything moves, with what it said and who speaks so."""
 
-from __future__ import annotations
-
 import sys
 
 import pytest

@@ -1,7 +1,5 @@
 """A force whose zero moves while it presses: found by the zero after the press, taken back, recorded anew."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

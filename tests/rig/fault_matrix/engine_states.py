@@ -1,7 +1,5 @@
 """States of the engine in which a fault sets in: the plan that comes through each, and when it is there."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any

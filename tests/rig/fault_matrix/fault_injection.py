@@ -1,7 +1,5 @@
 """How a fault sets in on an observed rig, and what may be said of it afterwards."""
 
-from __future__ import annotations
-
 import math
 import os
 import signal

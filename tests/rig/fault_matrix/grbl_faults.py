@@ -1,7 +1,5 @@
 """Faults of a GRBL controller and its line, on the fake of both firmwares."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from typing import Any

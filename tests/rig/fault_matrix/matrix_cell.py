@@ -1,7 +1,5 @@
 """One cell of the matrix: a recording into which one fault comes in one state, and its resumption."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

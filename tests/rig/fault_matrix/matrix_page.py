@@ -1,7 +1,5 @@
 """The matrix as a table of numbers and as a page; nothing here runs anything."""
 
-from __future__ import annotations
-
 import csv
 import io
 import re

@@ -4,8 +4,6 @@ Each says how it sets in, what it may be called, whether motion is still possibl
 probe may go on into or along the skin once it shows.
 """
 
-from __future__ import annotations
-
 from functools import partial
 
 from tests.rig.fault_matrix.fault_injection import (
