@@ -1,11 +1,30 @@
 """A force sensor whose samples come late with current timestamps, or have another gain."""
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from palpate.core import NS_PER_S, Wrench
 from palpate.devices.force_trust import StiffnessRange
+
+
+class ChangedForce:
+    """A force sensor of which a function makes other samples."""
+
+    def __init__(self, device: Any, change: Callable[[Wrench], Wrench]) -> None:
+        self._device, self._change = device, change
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._device, name)
+
+    def drain(self) -> list[Wrench]:
+        return [self._change(one) for one in self._device.drain()]
+
+    def latest(self) -> Wrench:
+        return self._change(self._device.latest())
 
 
 class AlteredForce:
@@ -63,8 +82,6 @@ FORCES_N = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
 
 def law_range(world: Any, factor: float, forces_n: tuple[float, ...] = FORCES_N) -> StiffnessRange:
     """Range of stiffness about a virtual skin's own law, by a factor to each side."""
-    import numpy as np
-
     law = world._skin.law
     depth = np.linspace(law.depth_m[0], law.depth_m[-1], 2000)
     force = np.interp(depth, law.depth_m, law.force_n)

@@ -2,6 +2,7 @@
 
 import math
 import time
+from collections.abc import Callable
 from contextlib import ExitStack
 
 import pytest
@@ -15,6 +16,14 @@ from palpate.rig.real.grbl.grbl_stage import GrblStage
 from palpate.rig.real.grbl.grbl_supervisor import GrblSpec
 
 PATIENCE_S = 60.0  # for what must happen; a loaded machine may take long, a broken one takes for ever
+
+
+def until(condition: Callable[[], object]) -> None:
+    """Wait for what must happen."""
+    end = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(1e-3)
 
 
 class FastClock:

@@ -130,7 +130,7 @@ def test_a_virtual_sensor_without_a_stage_is_refused(tmp_path):
         open_rig(str(path), supervised=False)
 
 
-@pytest.fixture(params=["fake 1.1h", "fake grblHAL", "real 1.1h", "real grblHAL"])
+@pytest.fixture(params=["fake 1.1h", "real 1.1h", "real grblHAL"])
 def mixed(request, tmp_path):
     """A rig's file whose stage is firmware, a fake or a simulator of a real one."""
     kind, firmware = request.param.split()

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 from tests.refusals import refused
+from tests.rig.altered_force import ChangedForce
 
 from palpate.core import NS_PER_S, DeviceError, Position, Wrench
 from palpate.core.errors import RangeError
@@ -238,29 +239,12 @@ def test_a_stage_that_cannot_be_lifted_is_not_homed_but_on_ones_word() -> None:
     assert stage.homed_from_m is not None
 
 
-class Altered:
-    """A force sensor of which a function of the rig makes other samples."""
-
-    def __init__(self, rig: Rig, sample: Callable[[Wrench], Wrench]) -> None:
-        self._sensor, self._sample = rig.force, sample
-        self.rate_hz, self.range_n = rig.force.rate_hz, rig.force.range_n
-
-    def drain(self) -> list[Wrench]:
-        return [self._sample(one) for one in self._sensor.drain()]
-
-    def latest(self) -> Wrench:
-        return self._sample(self._sensor.latest())
-
-    def close(self) -> None:
-        self._sensor.close()
-
-
 def added(one: Wrench, x_n: float, y_n: float, z_n: float) -> Wrench:
     x, y, z = one.force_n
     return replace(one, force_n=(x + x_n, y + y_n, z + z_n))
 
 
-def numb(rig: Rig) -> Altered:
+def numb(rig: Rig) -> ChangedForce:
     """Gives its noise alone, whatever it touches."""
     draw = random.Random(3).gauss
 
@@ -268,7 +252,7 @@ def numb(rig: Rig) -> Altered:
         fx, fy, fz, tx, ty, tz = (draw(0, 0.005) for _ in range(6))
         return replace(one, force_n=(fx, fy, fz), torque_nm=(tx, ty, tz), fault="")
 
-    return Altered(rig, noise)
+    return ChangedForce(rig.force, noise)
 
 
 def test_homing_with_a_numb_sensor_still_starts_above_the_skin() -> None:
@@ -291,10 +275,12 @@ def test_a_touch_off_with_a_numb_sensor_does_not_leave_the_probe_in_the_skin() -
     assert rig.stage.position_m()[2] < -1e-3
 
 
-def pushed(rig: Rig, push_n: float, begin_s: float, end_s: float) -> Altered:
+def pushed(rig: Rig, push_n: float, begin_s: float, end_s: float) -> ChangedForce:
     """A hand pushes it for a while, along its z."""
     begin_ns, end_ns = (rig.clock.now_ns() + round(s * NS_PER_S) for s in (begin_s, end_s))
-    return Altered(rig, lambda one: added(one, 0.0, 0.0, push_n if begin_ns <= one.time_ns < end_ns else 0.0))
+    return ChangedForce(
+        rig.force, lambda one: added(one, 0.0, 0.0, push_n if begin_ns <= one.time_ns < end_ns else 0.0)
+    )
 
 
 @pytest.mark.parametrize(("push_n", "end_s"), [(0.7, 4.0), (-5.0, 2.5), (20.0, 50.0)])
@@ -332,13 +318,13 @@ def sideways(one: Wrench, since_s: float) -> Wrench:
 def test_a_change_of_force_that_is_no_push_along_the_press_moves_nothing(change, reason: Reason) -> None:
     rig = virtual_rig()
     start, begin_ns = rig.stage.position_m(), rig.clock.now_ns() + 2 * NS_PER_S
-    disturbed = Altered(rig, lambda one: change(one, max(one.time_ns - begin_ns, 0) / NS_PER_S))
+    disturbed = ChangedForce(rig.force, lambda one: change(one, max(one.time_ns - begin_ns, 0) / NS_PER_S))
     with tripped(reason):
         touched_off(rig, Switched(rig), disturbed)
     assert rig.stage.position_m() == start
 
 
-def soft(rig: Rig, n_m: float, more_n: Callable[[float], float] = lambda z_m: 0.0) -> Altered:
+def soft(rig: Rig, n_m: float, more_n: Callable[[float], float] = lambda z_m: 0.0) -> ChangedForce:
     """A linear skin of so many N/m below z = 0, with the sensor's noise."""
     draw = random.Random(5).gauss
 
@@ -347,7 +333,7 @@ def soft(rig: Rig, n_m: float, more_n: Callable[[float], float] = lambda z_m: 0.
         x, y, z = (draw(0, 0.003) for _ in "xyz")
         return replace(one, force_n=(x, y, z + n_m * max(z_m, 0.0) + more_n(z_m)), fault="")
 
-    return Altered(rig, felt)
+    return ChangedForce(rig.force, felt)
 
 
 class TurnedStage(Switched):

@@ -3,14 +3,13 @@
 import math
 import sys
 import threading
-import time
 from contextlib import ExitStack
 
 import pytest
 from hypothesis import given, strategies as st
 from tests.fakes.marlin_firmware import MarlinFaults, MarlinFirmware, MarlinParameters
 from tests.refusals import refused
-from tests.rig.conftest import PATIENCE_S, FastClock
+from tests.rig.conftest import FastClock, GrblBench
 from tests.rig.serial_terminal import FakeTerminal
 
 from palpate.core import (
@@ -36,7 +35,9 @@ STEP_MM = 1 / 80  # of its coarsest axis
 TICK_MM = 0.01  # a tick of the fake at that speed, and more
 
 
-class MarlinBench:
+class MarlinBench(GrblBench):
+    """The fake of Marlin, its terminal and the driver's spec."""
+
     def __init__(self, stack: ExitStack, model, faults, clock, **spec) -> None:
         self.clock, self._stack = clock, stack
         self.firmware = MarlinFirmware(model, faults, clock.now_ns() / 1e9)
@@ -50,38 +51,15 @@ class MarlinBench:
             stage.reference(START)
         return stage
 
-    def spoil(self, faults: MarlinFaults) -> None:
-        with self.terminal.lock:
-            self.firmware.faults = faults
-
     @property
     def gone_mm(self):
         """The true place, from where it was switched on."""
-        with self.terminal.lock:
-            self.terminal.catch_up()
-            place = zip(self.firmware.place_mm, self.firmware.model.start_mm, strict=True)
-            return tuple(at - start for at, start in place)
+        return tuple(
+            at - start for at, start in zip(self.place_mm, self.firmware.model.start_mm, strict=True)
+        )
 
-    @property
-    def speed_mm_s(self) -> float:
-        with self.terminal.lock:
-            self.terminal.catch_up()
-            return self.firmware.speed_mm_s
-
-    def wait(self, condition, step_s: float = 0.02) -> None:
-        end = time.monotonic() + PATIENCE_S
-        while not condition():
-            assert time.monotonic() < end, "what was waited for never came"
-            self.clock.sleep(step_s)
-            self.terminal.catch_up()
-            time.sleep(0)
-
-    def arrive(self, stage) -> None:
-        self.wait(lambda: not stage.moving())
-
-    def to_speed(self, stage, target, speed=SPEED) -> None:
-        stage.move_to(target, speed)
-        self.wait(lambda: self.speed_mm_s >= speed * 999)
+    def move_to_speed(self, stage, target, speed=SPEED) -> None:
+        super().move_to_speed(stage, target, speed)
 
     def fails(self, call) -> str:
         """What a call says when it comes to fail."""
@@ -129,7 +107,7 @@ def test_a_speed_factor_that_another_program_left_is_taken_back(bench) -> None:
     with one.terminal.lock:
         one.firmware._modes.percent = 300.0
     stage = one.open()
-    one.to_speed(stage, (5e-3, 0.0, 0.0))
+    one.move_to_speed(stage, (5e-3, 0.0, 0.0))
     assert one.speed_mm_s <= SPEED * 1e3 * 1.001
 
 
@@ -186,7 +164,7 @@ def test_a_stop_ends_within_the_overshoot_bound_at_a_known_place(opened, parser)
     assert stage.emergency_parser is parser
     stage.stop()
     assert b"M410" not in bytes(one.firmware.received), "a stop at a stand sends nothing"
-    one.to_speed(stage, (0.02, 0.0, 0.01))
+    one.move_to_speed(stage, (0.02, 0.0, 0.01))
     asked = one.gone_mm
     stage.stop()
     stopped = one.gone_mm
@@ -212,7 +190,7 @@ def test_no_speed_is_allowed_from_which_a_stop_would_lose_steps(bench) -> None:
 def test_a_false_word_on_how_fast_it_may_stop_dead_loses_the_place_unseen(opened) -> None:
     """Negative control: the count cannot tell, so the word must be tried."""
     one, stage = opened(MarlinParameters(top_mm_s=(300.0, 300.0, 300.0)), sudden_m_s=0.02)
-    one.to_speed(stage, (0.03, 0.0, 0.0), 0.02)
+    one.move_to_speed(stage, (0.03, 0.0, 0.0), 0.02)
     stage.stop()
     assert abs(one.gone_mm[0] - stage.position_m()[0] * 1e3) > 1.0
 
@@ -332,7 +310,7 @@ def test_a_controller_that_says_nothing_is_told(opened) -> None:
 
 def test_a_stop_that_is_not_heeded_is_no_stop(opened) -> None:
     one, stage = opened(faults=MarlinFaults(ignores_stop=True), stop_s=1.0)
-    one.to_speed(stage, (0.04, 0.0, 0.0))
+    one.move_to_speed(stage, (0.04, 0.0, 0.0))
     done: list[BaseException] = []
 
     def stop() -> None:

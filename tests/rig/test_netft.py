@@ -5,27 +5,20 @@ import socket
 import struct
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 
 import pytest
 from tests.fakes.netft_box import START, STOP, FakeNetFT, FakePage
 from tests.refusals import refused
+from tests.rig.conftest import PATIENCE_S, until
 
 from palpate.core import MonotonicClock
 from palpate.core.errors import DeviceError, RangeError
 from palpate.rig.real.netft.netft_sensor import NetFT, NetFTSettings
 from palpate.rig.real.netft.netft_stream import RdtStream
 
-PATIENCE_S = 30.0  # only a test that fails waits so long
 FORCE, TORQUE = (1.0, -2.0, -12.5), (0.25, 0.0, -0.125)  # whole counts, so equal and not only close
-
-
-def until(condition: Callable[[], bool]) -> None:
-    end = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < end, "waited in vain"
-        time.sleep(1e-3)
 
 
 def settings(box: FakeNetFT) -> NetFTSettings:

@@ -5,27 +5,20 @@ import socket
 import struct
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 
 import pytest
 from tests.fakes.netft_box import START, STOP, FakeNetFT, FakePage
 from tests.refusals import refused
+from tests.rig.conftest import until
 
 from palpate.core.errors import DeviceError, ProtocolError
 from palpate.rig.real.netft.netft_calibration import MAX_PAGE_BYTES
 from palpate.rig.real.netft.netft_sensor import NetFT, NetFTSettings
 from palpate.rig.real.netft.netft_stream import RdtCommand, request
 
-PATIENCE_S = 30.0  # only a test that fails waits so long
 FORCE = (1.0, -2.0, -12.5)
-
-
-def until(condition: Callable[[], bool]) -> None:
-    end = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < end, "waited in vain"
-        time.sleep(1e-3)
 
 
 def patient(box: FakeNetFT) -> NetFTSettings:
@@ -52,20 +45,19 @@ def more(sensor: NetFT, n: int = 10) -> None:
 
 def failure(sensor: NetFT) -> str:
     """Wait until the sensor fails, and why."""
+    said: list[str] = []
 
     def failed() -> bool:
         try:
             sensor.latest()
-        except DeviceError:
-            return True
-        return False
+        except DeviceError as error:
+            said.append(str(error))
+        return bool(said)
 
     until(failed)
-    with pytest.raises(DeviceError) as told:
-        sensor.latest()
     with pytest.raises(DeviceError):
         sensor.drain()
-    return str(told.value)
+    return said[0]
 
 
 def is_fit(sensor: NetFT) -> None:

@@ -41,16 +41,6 @@ def test_a_device_that_is_held_is_refused_with_the_holders_pid_and_free_once_tha
         hold_device(device).release()
 
 
-def test_a_hold_that_was_released_is_free_and_one_process_holds_a_device_once() -> None:
-    device = f"box of {os.getpid()}"
-    held = hold_device(device)
-    with refused("device-held", DeviceError):
-        hold_device(device)
-    held.release()
-    held.release()
-    hold_device(device).release()
-
-
 def test_names_of_one_device_are_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     link = tmp_path / "by-id"
     link.symlink_to("/dev/null")

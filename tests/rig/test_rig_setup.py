@@ -201,44 +201,6 @@ def test_a_setup_that_may_move_nothing_writes_what_it_found_and_says_what_it_did
         assert word in said
 
 
-class Led(Exception):
-    """The probe hangs where it is to touch."""
-
-
-class Leading(LabAnswers):
-    """Somebody who leads the probe in steps, and leaves before it touches."""
-
-    def __init__(self, lab: Lab, answers: dict[str, Any], steps: list[Any]) -> None:
-        super().__init__(lab, answers)
-        self.steps, self.told = steps, list[str]()
-
-    def ask(self, name: str, question: str, proposal: Any = None, *, words: bool = False) -> Any:
-        if name == "above_mm":
-            self.told.append(str(proposal))
-            return self.steps.pop(0) if self.steps else proposal
-        if name == "reach_mm":
-            raise Led
-        return super().ask(name, question, proposal, words=words)
-
-    def again(self, why: str, since: int = -1) -> bool:
-        self.told.append(why)
-        return True
-
-
-@pytest.mark.slow
-def test_a_person_leads_the_probe_over_the_skin_in_steps_and_is_told_where_it_stands(tmp_path: Path) -> None:
-    with lab() as one:
-        given = answers_of(one, mass_g=0)._stated
-        led = Leading(one, given, ["x 0.5", "z 80", "y-0.5", "x 999", "nowhere"])
-        with pytest.raises(Led):
-            set_up(tmp_path / "rig.toml", led, lambda line: None)
-        assert one.bench.place_mm == pytest.approx((-49.5, -49.5, -5.0), abs=0.01)
-    said = "\n".join(led.told)
-    assert "[-49.5, 50.0" in said
-    assert "50 mm" in said
-    assert "three numbers" in said
-
-
 def test_a_step_in_a_file_of_answers_is_refused_after_it_and_not_repeated(tmp_path: Path) -> None:
     with lab() as one, pytest.raises(InputError, match="three numbers"):
         set_up(tmp_path / "rig.toml", answers_of(one, above_mm="x 0.5"), lambda line: None)
@@ -273,13 +235,6 @@ def typed_by(*words: str, **stated: Any) -> Answers:
         return left.pop(0)
 
     return Answers(stated, read=read)
-
-
-def test_nobody_at_the_prompt_ends_a_question_that_would_be_asked_again() -> None:
-    person = typed_by("99")
-    with pytest.raises(InputError, match="nobody answered"):
-        person.number("force_N", "Force", 1.0, 10.0)
-    assert person.given == {}
 
 
 def test_a_device_that_does_not_answer_is_asked_for_again_with_what_was_said_as_proposal() -> None:

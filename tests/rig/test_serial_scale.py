@@ -2,7 +2,6 @@
 
 import math
 import sys
-import time
 from contextlib import ExitStack
 
 import pytest
@@ -10,6 +9,7 @@ from hypothesis import given, strategies as st
 from pydantic import ValidationError
 from tests.fakes.printing_scale import PrintingScale, ScaleFaults
 from tests.refusals import refused
+from tests.rig.conftest import until
 from tests.rig.serial_terminal import FakeTerminal
 
 from palpate.core import DeviceError, ForceSensor, InputError, MonotonicClock, ProtocolError, RangeError
@@ -18,8 +18,6 @@ from palpate.rig.real.scale import ScaleSpec, SerialScale
 from palpate.rig.real.scale.serial_scale import MAX_GARBLED, STUCK_LINES, WeightStream
 from palpate.rig.real.scale.weight_line import G0, MAX_LINE, read_weight
 from palpate.rig.rig_file import RigFile
-
-PATIENCE_S = 30.0  # for what must happen; a loaded machine may take long, a broken one takes for ever
 
 
 @pytest.mark.parametrize(
@@ -189,21 +187,18 @@ class TestDriver:
 
             yield make
 
-    def until(self, condition) -> None:
-        end = time.monotonic() + PATIENCE_S
-        while not condition():
-            assert time.monotonic() < end, "what was waited for never came"
-            time.sleep(0.01)
-
     def failure(self, sensor) -> str:
-        end = time.monotonic() + PATIENCE_S
-        while time.monotonic() < end:
+        said: list[str] = []
+
+        def failed() -> bool:
             try:
                 sensor.latest()
             except DeviceError as error:
-                return str(error)
-            time.sleep(0.01)
-        raise AssertionError("it never failed")
+                said.append(str(error))
+            return bool(said)
+
+        until(failed)
+        return said[0]
 
     @pytest.mark.parametrize(
         ("layout", "spec"),
@@ -223,7 +218,7 @@ class TestDriver:
     def test_a_scale_that_is_asked_answers(self, bench) -> None:
         scale = PrintingScale(lambda t: 0.5, layout="sics", on_request=True)
         _, sensor = bench(scale, ask="SI")
-        self.until(lambda: sensor.counts.received >= 5)
+        until(lambda: sensor.counts.received >= 5)
         assert sensor.latest().force_n[2] == pytest.approx(0.5, abs=5e-3)
 
     def test_a_scale_that_is_not_asked_is_told_as_silent(self, bench) -> None:
@@ -247,10 +242,10 @@ class TestDriver:
         terminal, sensor = bench(scale)
         with terminal.lock:
             scale.faults = ScaleFaults(overloaded=True)
-        self.until(lambda: sensor.latest().fault == "overload")
+        until(lambda: sensor.latest().fault == "overload")
         with terminal.lock:
             scale.faults = ScaleFaults()
-        self.until(lambda: sensor.latest().fault == "")
+        until(lambda: sensor.latest().fault == "")
 
     def test_an_unplugged_scale_is_gone(self, bench) -> None:
         terminal, sensor = bench(PrintingScale(rate_hz=50.0))
@@ -259,7 +254,7 @@ class TestDriver:
 
     def test_samples_that_nobody_drains_are_told(self, bench) -> None:
         _, sensor = bench(PrintingScale(rate_hz=200.0), keep=5)
-        self.until(lambda: sensor.counts.received > 10)
+        until(lambda: sensor.counts.received > 10)
         with pytest.raises(DeviceError, match="overwritten"):
             sensor.drain()
         assert sensor.drain()  # the newest are kept

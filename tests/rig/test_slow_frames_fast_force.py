@@ -103,12 +103,6 @@ def test_a_latency_of_the_wrong_sign_or_left_out_breaks_it(swept: Swept) -> None
     assert right < out / 3 < wrong / 5
 
 
-def test_a_line_between_samples_beats_the_nearest_sample(swept: Swept) -> None:
-    middles = swept.frame_t - swept.offset.seconds - swept.exposure_s / 2
-    nearest = [swept.force[np.argmin(np.abs(swept.force_t - at))] for at in middles]
-    assert swept.error_n(swept.offset.seconds) < np.abs(np.array(nearest) - swept.true_n).max() / 2
-
-
 def test_a_frames_depth_is_that_of_its_own_exposure(swept: Swept) -> None:
     def worst_mm(offset_s: float) -> float:
         z_mm = mean_over_exposures(

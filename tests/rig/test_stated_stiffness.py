@@ -115,9 +115,6 @@ class TestRange:
         assert self.range.at(force_n) == pytest.approx(expected)
         assert StiffnessCorridor(self.range).stated_n_m(force_n) == pytest.approx(expected)
 
-    def test_one_force_is_a_range_as_well(self) -> None:
-        assert StiffnessRange((1.0,), (100.0,), (200.0,)).at(1.0) == (100.0, 200.0)
-
     @pytest.mark.parametrize(
         "wrong",
         [

@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 from tests.refusals import refused
 from tests.rig import supervised_bench
+from tests.rig.conftest import until
 from tests.slow_params import mostly_slow
 
 from palpate.core.errors import DeviceError
@@ -93,13 +94,6 @@ def guarded(rig: Rig, control: OperatorControl | None = None) -> SupervisedGuard
     guard.clearance = Clearance(FREE_M, 15 * MM)
     guard.tare(rig.force.rate_hz)
     return guard
-
-
-def wait_for(holds: Callable[[], object], seconds: float = 20.0) -> None:
-    end_s = time.monotonic() + seconds
-    while not holds():
-        assert time.monotonic() < end_s, "what was waited for did not come"
-        time.sleep(0.02)
 
 
 def test_who_subscribed_is_told_and_a_force_reached_its_limit_and_an_exception_end_a_move(supervised) -> None:
@@ -200,7 +194,7 @@ def test_a_client_that_is_killed_leaves_no_probe_in_the_skin(supervised, then: s
     with child(bench, then) as client:
         time.sleep(0.4)
         client.kill()
-        wait_for(lambda: bench.noted("close"))
+        until(lambda: bench.noted("close"))
     assert bench.z_m() == pytest.approx(FREE_M)
 
 
@@ -210,10 +204,10 @@ def test_a_client_that_stops_saying_anything_in_the_skin_is_not_waited_for(super
     with child(bench, "time.sleep(60)") as client:
         os.kill(client.pid, signal.SIGSTOP)
         begun_s = time.monotonic()
-        wait_for(lambda: bench.noted("move")[-1]["place"][2] == FREE_M, guard_supervisor.STANDING_S + 10)
+        until(lambda: bench.noted("move")[-1]["place"][2] == FREE_M)
         assert time.monotonic() - begun_s > guard_supervisor.STANDING_S - 1
         client.kill()
-        wait_for(lambda: bench.noted("close"))
+        until(lambda: bench.noted("close"))
 
 
 def test_a_supervisor_that_dies_is_told_at_once_and_by_name(supervised) -> None:
@@ -241,7 +235,7 @@ def hanging(bench: Supervised):
     finally:
         os.kill(rig.supervisor.pid, signal.SIGCONT)
         gone = Path(f"/proc/{rig.supervisor.pid}")
-        wait_for(lambda: not gone.exists() and not lingering())
+        until(lambda: not gone.exists() and not lingering())
 
 
 @pytest.mark.slow
@@ -275,19 +269,6 @@ def test_a_supervisor_whose_device_is_slow_is_not_taken_for_one_that_hangs(super
         assert rig.supervisor.ask("moving") is False
 
 
-@pytest.mark.slow
-def test_an_emergency_stop_shortens_the_wait_for_a_supervisor_that_hangs(supervised, monkeypatch) -> None:
-    monkeypatch.setattr(process_link, "SILENT_S", 50.0)
-    with hanging(supervised()) as (rig, guard, control):
-        control.ask(OperatorCommand.ESTOP)  # the second Ctrl-C
-        begun_s = time.monotonic()
-        with pytest.raises(Tripped, match="rig's switch"):
-            guard.towards((0.0, 0.0, 1 * MM), 1 * MM)
-        with pytest.raises(DeviceError, match="switch"):
-            rig.close()
-        assert time.monotonic() - begun_s < 20.0
-
-
 def test_anybody_of_the_same_user_may_stop_it_past_its_client(supervised) -> None:
     bench = supervised()
     with child(bench, MOVES) as client, RpcClient(supervisor_name(str(bench.path))) as anybody:
@@ -296,7 +277,7 @@ def test_anybody_of_the_same_user_may_stop_it_past_its_client(supervised) -> Non
         assert (asked["stood_ns"] - asked["asked_ns"]) / 1e6 < 200
         z = float(bench.noted("stop")[-1]["place"][2])
         client.wait(10)
-        wait_for(lambda: bench.noted("close"))
+        until(lambda: bench.noted("close"))
     assert z > 1 * MM
     assert bench.z_m() == pytest.approx(z, abs=1e-6), "an emergency stop moves nothing, also not away"
 
@@ -319,7 +300,7 @@ def test_the_stop_command_reaches_the_stage_while_the_recording_process_is_dead_
             assert [one["name"] for one in found["processes"]] == [supervisor_name(str(bench.path))]
         client.kill()
         client.wait(10)
-        wait_for(lambda: bench.noted("close"))
+        until(lambda: bench.noted("close"))
 
 
 @pytest.mark.slow
@@ -327,14 +308,14 @@ def test_the_stop_command_reaches_the_stage_while_the_recording_process_is_dead_
 def test_whatever_ends_a_client_while_a_stage_homes_ends_that_as_well(supervised, ends) -> None:
     bench = supervised(stage="opens_s = 60.0")
     with subprocess.Popen([sys.executable, "-c", code_of(""), str(bench.path)], cwd=REPOSITORY) as client:
-        wait_for(lambda: bench.noted("opens"))
+        until(lambda: bench.noted("opens"))
         bench.opens_at_once()
         if ends:
             client.send_signal(ends)
         else:
             done = stop_rig(str(bench.path))
             assert ([one.code for one in done.holders], done.code) == (["opening-ended"], "stopped-on-port")
-        wait_for(lambda: bench.noted("abandoned"))
+        until(lambda: bench.noted("abandoned"))
         assert client.wait(20) != 0
 
 
@@ -376,16 +357,16 @@ def test_the_studios_process_records_through_the_supervisor_and_stops_it(supervi
     try:
         service.plan(PLAN.model_dump(mode="json"))
         service.start("one")
-        wait_for(lambda: service.status()["position_mm"] and service.status()["position_mm"][2] > 0.2)
+        until(lambda: service.status()["position_mm"] and service.status()["position_mm"][2] > 0.2)
         stood = service.estop()
         assert (stood["stood_ns"] - stood["asked_ns"]) / 1e6 < 200
-        wait_for(lambda: not service.recording)
+        until(lambda: not service.recording)
         z = float(bench.noted("stop")[-1]["place"][2])
         assert z > FREE_M, "an emergency stop does not lift"
         assert service.status()["state"] == "e-stopped"
         service.release()
         service.start("one")
-        wait_for(lambda: not service.recording, 60)
+        until(lambda: not service.recording)
         assert (service.status()["state"], service.status()["shots"]) == ("done", service.status()["planned"])
         assert service.status()["force_n"] is not None
     finally:
@@ -405,7 +386,7 @@ def test_the_pages_emergency_stop_passes_a_recorder_that_hangs(supervised, tmp_p
             assert page.reached(20.0)
             page.plan(PLAN.model_dump(mode="json"))
             page.start("one")
-            wait_for(lambda: any(one["place"][2] > 0.2 * MM for one in bench.noted("move")))
+            until(lambda: any(one["place"][2] > 0.2 * MM for one in bench.noted("move")))
             os.kill(process.pid, signal.SIGSTOP)
             asked_ns = time.monotonic_ns()
             stood = page.estop()
@@ -416,7 +397,7 @@ def test_the_pages_emergency_stop_passes_a_recorder_that_hangs(supervised, tmp_p
     finally:
         process.kill()
         process.wait()
-    wait_for(lambda: bench.noted("close"))
+    until(lambda: bench.noted("close"))
     assert bench.z_m() > FREE_M
 
 
@@ -433,7 +414,7 @@ def test_ctrl_c_in_the_terminal_lifts_and_the_same_command_goes_on(supervised, t
     path = os.pathsep.join([str(Path(__file__).parent), *sys.path])
     run = {"env": {**os.environ, "PYTHONPATH": path}, "stdout": subprocess.PIPE, "text": True}
     with subprocess.Popen(words, **run) as first:
-        wait_for(lambda: any(one["place"][2] > 0.4 * MM for one in bench.noted("move")))
+        until(lambda: any(one["place"][2] > 0.4 * MM for one in bench.noted("move")))
         first.send_signal(signal.SIGINT)
         said, _ = first.communicate(timeout=60)
     assert (first.returncode, json.loads(said)["state"]) == (1, "aborted")

@@ -1,7 +1,7 @@
 """The USB camera driver against a camera that is not there, and its faults told for what they are."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,19 +11,12 @@ import pytest
 from hypothesis import given, strategies as st
 from tests.fakes.video_capture import BLUE, FakeVideoCapture, frame_number
 from tests.refusals import refused
+from tests.rig.conftest import PATIENCE_S, until
 
 from palpate.core.errors import DeviceError, RangeError
 from palpate.rig.real.uvc_camera import FrameWatch, UvcCamera, UvcSettings, device
 
-PATIENCE_S = 30.0  # only a test that fails waits so long
 SETTINGS = UvcSettings(size_px=(64, 48), rate_hz=100.0, exposure_s=5e-3, freeze_s=0.2)
-
-
-def until(condition: Callable[[], bool]) -> None:
-    end = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < end, "waited in vain"
-        time.sleep(1e-3)
 
 
 @pytest.fixture

@@ -9,17 +9,14 @@ import pytest
 from palpate.calibration.compliance.compliance_calibration import ReferenceSpecimen, calibrate_compliance
 from palpate.calibration.compliance.compliance_reading import read_touch
 from palpate.calibration.compliance.press_cues import cues_of
-from palpate.core.errors import ExistsError
 from palpate.core.sensor import sensor
 from palpate.recordings.exchange.frame_sequences import TiffFrames
-from palpate.recordings.exchange.press_export import export_presses, latency_s
+from palpate.recordings.exchange.press_export import export_presses
 from palpate.recordings.exchange.press_folder import PressFolder, press_folder
 from palpate.recordings.exchange.press_table import read_press_table
 from palpate.recordings.run_reader import Run
 from palpate.rig import PLANS, State, record
 from palpate.rig.virtual import virtual_rig
-from palpate.rig.virtual.virtual_camera import TRANSPORT_S
-from palpate.rig.virtual.virtual_force import LATENCY_S
 
 TACTIP = sensor("tactip")
 FEW = PLANS["tactip"].model_copy(update={"indenters": ("rigid", "S3=1.1?"), "cycles": 1, "wait_s": 0.0})
@@ -40,14 +37,6 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
 
 
 @pytest.mark.slow
-def test_a_run_on_specimens_is_read_as_an_experiments_folder(run: Run) -> None:
-    folder = press_folder(run.path)
-    assert [(one.name, one.stiffness_n_m) for one in folder.specimens] == [("rigid", math.inf), ("S3", None)]
-    with pytest.raises(ExistsError):
-        export_presses(run)
-
-
-@pytest.mark.slow
 def test_force_position_and_area_of_a_press_are_those_of_its_contact(run: Run) -> None:
     for one, words in zip(press_folder(run.path).specimens, FEW.indenters, strict=True):
         tiff, path = one.presses[0]
@@ -61,12 +50,6 @@ def test_force_position_and_area_of_a_press_are_those_of_its_contact(run: Run) -
         # Noise of 0.02 N in steps of 1/16 N, and a force that moves on by 0.1 N while a frame is exposed.
         assert np.abs(table.force_n[at] - law_n).max() < 0.25
         assert np.abs(np.median(table.force_n[at] - law_n)) < 0.03
-
-
-@pytest.mark.slow
-def test_the_camera_s_latency_is_told_by_taps(run: Run) -> None:
-    late_s = TRANSPORT_S - LATENCY_S
-    assert latency_s(run) == pytest.approx(late_s, abs=6e-3)  # an eighth of the camera's period
 
 
 @pytest.mark.slow

@@ -2,10 +2,10 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from tests.rig.altered_force import ChangedForce
 from tests.rig.rigs import keys, near, quick, wanted
 
 from palpate.core import NS_PER_S, Wrench
@@ -22,28 +22,6 @@ from palpate.rig.zero_drift import slope_n_s
 pytestmark = pytest.mark.usefixtures("coarse_looks")
 
 
-class DriftingForce:
-    """A force sensor whose normal zero moves between two times, at so many newtons a second."""
-
-    def __init__(self, force: Any, slope_n_s: float, begun_s: float, ended_s: float) -> None:
-        self._force, self._slope = force, slope_n_s
-        self._begun_ns, self._ended_ns = begun_s * NS_PER_S, ended_s * NS_PER_S
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._force, name)
-
-    def drain(self) -> list[Wrench]:
-        return [self._shifted(one) for one in self._force.drain()]
-
-    def latest(self) -> Wrench:
-        return self._shifted(self._force.latest())
-
-    def _shifted(self, one: Wrench) -> Wrench:
-        x, y, z = one.force_n
-        seconds = max(min(one.time_ns, self._ended_ns) - self._begun_ns, 0) / NS_PER_S
-        return replace(one, force_n=(x, y, z + self._slope * seconds))
-
-
 SMALL = quick(places=Listed(kind="listed", at_mm=((0.0, 0.0),)), cycles=2, press_mm_s=2.0)
 
 
@@ -52,8 +30,15 @@ def varied() -> Rig:
 
 
 def drifting(begun_s: float, ended_s: float, slope_n_s: float = 1.0) -> Rig:
+    """A rig whose normal zero moves between two times, at so many newtons a second."""
     one = varied()
-    return replace(one, force=DriftingForce(one.force, slope_n_s, begun_s, ended_s))
+
+    def shifted(sample: Wrench) -> Wrench:
+        x, y, z = sample.force_n
+        seconds = max(min(sample.time_ns / NS_PER_S, ended_s) - begun_s, 0.0)
+        return replace(sample, force_n=(x, y, z + slope_n_s * seconds))
+
+    return replace(one, force=ChangedForce(one.force, shifted))
 
 
 def span_of_last_press(path: Path) -> tuple[float, float]:
