@@ -8,15 +8,20 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from tests.fakes.netft_box import START, STOP, FakeNetFT, FakePage
 from tests.refusals import refused
 from tests.rig.conftest import PATIENCE_S, until
 
-from palpate.core import MonotonicClock
+from palpate.core import NS_PER_S, MonotonicClock, Wrench
 from palpate.core.errors import DeviceError, RangeError
-from palpate.rig.real.netft.netft_sensor import NetFT, NetFTSettings
+from palpate.devices import ForceBias, Limits, Reason, Tripped
+from palpate.devices.force_trust import ForceMonitor, Phase, name_fault
+from palpate.rig.real.netft.netft_calibration import calibration
+from palpate.rig.real.netft.netft_sensor import NetFT, NetFTSettings, Samples
 from palpate.rig.real.netft.netft_stream import RdtStream
+from palpate.rig.virtual.virtual_bench import TRAVEL
 
 FORCE, TORQUE = (1.0, -2.0, -12.5), (0.25, 0.0, -0.125)  # whole counts, so equal and not only close
 
@@ -181,3 +186,137 @@ def test_a_real_box_streams_without_loss() -> None:
         until(lambda: sensor.counts.received > sensor.rate_hz)
         assert sensor.counts.lost == sensor.counts.malformed == 0
         assert sensor.latest().fault == ""
+
+
+# A Net F/T box that sends slower than its page states is slow; one whose records are held back is late.
+
+HZ = 200.0
+PACE_PATIENCE_S = 30.0
+TRIES = 10  # of a healthy box on a busy computer
+AIR = 300  # samples of the air: some that a busy computer sends at once then change the rate by little
+
+
+def noisy_box() -> FakeNetFT:
+    """A box that states `HZ`; its noise is a count's rounding of a force that never stands still."""
+    return FakeNetFT(
+        force=lambda t: (0.3, -0.2, 1.7 + 0.01 * ((t * 7919.0) % 1.0)), page=FakePage(rate_hz=HZ)
+    )
+
+
+def connected(box: FakeNetFT) -> NetFT:
+    ports = {"rdt_port": box.rdt_port, "http_port": box.http_port}
+    return NetFT(box.host, NetFTSettings(**ports, silence_s=20.0, start_wait_s=5.0))
+
+
+def samples(sensor: NetFT, count: int) -> list[Wrench]:
+    """The next samples, as many as are asked for."""
+    heard, end = [], time.monotonic() + PACE_PATIENCE_S
+    sensor.drain()
+    while len(heard) < count:
+        assert time.monotonic() < end, "waited in vain"
+        heard += sensor.drain()
+        time.sleep(5e-3)
+    return heard
+
+
+def taught(sensor: NetFT, count: int = AIR) -> ForceMonitor:
+    """A monitor that learnt the air from the sensor at the rate that it states."""
+    bias, air = ForceBias(), samples(sensor, count)
+    monitor = ForceMonitor(bias, Limits(TRAVEL.least_m, TRAVEL.greatest_m), TRAVEL)
+    bias.measure(air)
+    monitor.learn_air(air, sensor.rate_hz)
+    return monitor
+
+
+def taught_in_time(sensor: NetFT) -> ForceMonitor:
+    for _ in range(TRIES):
+        try:
+            return taught(sensor)
+        except Tripped as busy:
+            last = busy
+    raise last
+
+
+@pytest.mark.parametrize(("sent_hz", "heard_s"), [(0.5 * HZ, 0.0), (0.2 * HZ, 3.0)])
+@pytest.mark.cases(1)
+def test_a_box_that_sends_slower_than_its_page_states_is_named_slow(sent_hz: float, heard_s: float) -> None:
+    with noisy_box() as box:
+        box.sent_hz = sent_hz
+        with connected(box) as sensor:
+            time.sleep(heard_s)
+            with pytest.raises(Tripped, match=f"states {HZ:g}") as caught:
+                taught(sensor, 30)
+        assert caught.value.reason is Reason.FORCE_SLOW
+
+
+def test_records_that_are_held_back_are_named_late_and_none_is_lost() -> None:
+    hold_s = 0.5
+    with noisy_box() as box, connected(box) as sensor:
+        monitor = taught_in_time(sensor)  # the negative control of the law above
+        lost = sensor.counts.lost
+        monitor.begin(Phase.DOWN, 2e-3, 1e-3, *[time.monotonic_ns()] * 2)
+        box.hold_s = hold_s
+        end = time.monotonic() + PACE_PATIENCE_S
+        age_s = 0.0
+        while age_s <= monitor.oldest_s:
+            assert time.monotonic() < end, "records that are held back never grew old"
+            age_s = (time.monotonic_ns() - sensor.latest().time_ns) / 1e9
+            time.sleep(1e-3)
+        doubt = monitor.gap(age_s)
+        sensor.drain()
+        begun = time.monotonic()
+        heard: list[Wrench] = []
+        while time.monotonic() - begun < 4 * hold_s:
+            heard += sensor.drain()
+            time.sleep(5e-3)
+        air = monitor.air
+        assert air is not None
+        reason, words = name_fault(doubt, heard, air, ForceBias(), time.monotonic() - begun)
+        assert reason is Reason.FORCE_LATE, words
+        assert sensor.counts.lost == lost
+
+
+# A Net F/T's samples are as old as its own numbers say; equal counts under running numbers are no force.
+
+DATING_HZ = 500.0
+HOLD_S = 0.08
+
+
+def stream(
+    rng, count: int, hold_from_s: float, frozen_from: int = 1 << 30, first: int = 2**32 - 700
+) -> list[Wrench]:
+    """Samples of records that wrap in their numbers, held back from a time on, frozen in their counts."""
+    samples = Samples(calibration(FakePage().xml()), (330.0, 330.0, 990.0), 1.0, 0, rate_hz=DATING_HZ)
+    taken: list[Wrench] = []
+    counts = (0,) * 6
+    for i in range(count):
+        sent_s = i / DATING_HZ
+        arrival_s = sent_s if sent_s < hold_from_s else np.ceil(sent_s / HOLD_S) * HOLD_S
+        counts = tuple(rng.integers(-9000, 9000, 6).tolist()) if i < frozen_from else counts
+        record = struct.pack(">III6i", (first + i) % 2**32, 1 + i, 0, *counts)
+        taken += samples.take(record, round((1.0 + arrival_s) * NS_PER_S))
+    return taken
+
+
+def test_records_that_were_held_back_are_dated_by_their_numbers(rng) -> None:
+    taken = stream(rng, 4000, hold_from_s=4.0)
+    assert len(taken) == 4000, "none is lost where the numbers wrap"
+    dated = np.array([one.time_ns for one in taken]) / NS_PER_S - 1.0
+    # The least delay is forgotten by 1 % of the time since it was seen: less than 1 ms from burst to burst.
+    assert np.abs(dated - np.arange(4000) / DATING_HZ).max() < 2e-3
+    assert (np.diff(dated) >= 0).all()
+
+
+def test_equal_counts_under_running_numbers_are_not_believed(rng) -> None:
+    taken = stream(rng, 400, hold_from_s=9.0, frozen_from=200)
+    bias = ForceBias()
+    monitor = ForceMonitor(bias, Limits(TRAVEL.least_m, TRAVEL.greatest_m), TRAVEL)
+    bias.measure(taken[:150])
+    monitor.learn_air(taken[:150], DATING_HZ)
+    doubts = [(i, doubt) for i, one in enumerate(taken[150:], 150) if (doubt := monitor.take(one))]
+    first, doubt = doubts[0]
+    assert doubt.kind == "repeats"
+    assert 199 < first < 199 + 12, "soon after the first that is repeated, and never before"
+    with pytest.raises(Tripped) as caught:
+        monitor.learn_air(taken[250:], DATING_HZ)
+    assert caught.value.reason is Reason.FORCE_STUCK

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from pydantic import ValidationError
-from tests.rig.altered_force import AlteredForce, law_range
+from tests.rig.guarded_presses import AlteredForce, law_range
 from tests.rig.rigs import CLEARANCE_MM, CLOCK_NS, near, plan
 from typer.testing import CliRunner
 

@@ -11,8 +11,8 @@ from types import SimpleNamespace
 from typing import Any
 from unittest import mock
 
-from tests.rig.altered_force import AlteredForce, law_range
 from tests.rig.fault_matrix.observed_rig import ObservedRig
+from tests.rig.guarded_presses import AlteredForce, law_range
 
 from palpate.core import NS_PER_S, DeviceError, Position, Wrench
 from palpate.devices import OperatorCommand
