@@ -105,23 +105,6 @@ class TestDistance:
 
 
 class TestShortOfTheTarget:
-    def test_a_stop_that_comes_as_it_arrives_is_no_fault(self, grbl_open, model):
-        """Asked within the way that it needs to stop, it may well be at its target."""
-        bench, stage = grbl_open(model)
-        stage.move_to((-0.049, 0.050, 0.050), 0.010)
-        bench.wait(lambda: bench.place_mm[0] > -49.05, 0.002)
-        stage.stop()
-        assert bench.speed_mm_s == 0.0
-        assert not stage.moving()
-
-    def test_a_stop_after_it_arrived_is_no_fault(self, grbl_open, model):
-        bench, stage = grbl_open(model)
-        stage.move_to((-0.0499, 0.050, 0.050), 0.010)
-        bench.wait(lambda: bench.firmware.state == "Idle")
-        bench.clock.sleep(1.0)
-        stage.stop()
-        assert stage.position_m()[0] == pytest.approx(-0.0499, abs=1e-6)
-
     def test_a_short_step_whose_ok_is_lost_is_no_stop_that_failed(self, grbl_open):
         """It arrives while its answer is waited for; nothing asked it to stop before."""
         bench, stage = grbl_open(FIRMWARES["grblHAL"], reply_s=1.0)

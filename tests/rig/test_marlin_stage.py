@@ -240,20 +240,18 @@ def test_a_build_that_tells_its_place_only_at_the_end_is_refused(opened) -> None
 @pytest.mark.parametrize(
     "faults",
     [
-        MarlinFaults(lose_every=7),
-        MarlinFaults(garble_every=6),
-        MarlinFaults(lose_ok_of="G1"),
-        MarlinFaults(lose_ok_of="M114"),
-        MarlinFaults(noise=b"\xff\x00\n"),
+        {"lose_every": 7},
+        {"damage_every": 5},
+        {"garble_every": 6},
+        {"lose_ok_of": "G1"},
+        {"lose_ok_of": "M114"},
+        {"noise": b"\xff\x00\n"},
     ],
-    ids=[
-        "lines lost", "lines damaged", "answers garbled", "ok of a move lost", "ok of a place lost", "noise",
-    ],
-)  # fmt: skip
+)
 @pytest.mark.cases(2)
 def test_lost_and_damaged_lines_cost_time_and_no_move_and_no_place(opened, faults) -> None:
     one, stage = opened(reply_s=0.15)
-    one.spoil(faults)
+    one.spoil(MarlinFaults(**faults))
     for target in ((0.0005, 0.0, 0.0), (0.0005, 0.0002, 0.0), START):
         stage.move_to(target, SPEED)
         one.arrive(stage)

@@ -9,7 +9,7 @@ from tests.rig.rigs import IDEAL, SPEC, near, quick, rig
 
 from palpate.core import Pose
 from palpate.core.errors import InputError, RecordingError
-from palpate.devices.motion_limits import Reason, Tripped
+from palpate.devices.motion_limits import Tripped
 from palpate.recordings.run_reader import Run
 from palpate.rig import PLANS, State, record
 from palpate.rig.locate_skin import SkinPlacement, locate_skin
@@ -89,9 +89,8 @@ def test_a_lateral_load_is_felt_along_its_way_and_seen(tmp_path: Path) -> None:
 def test_deeper_than_a_law_reaches_is_refused_before_anything_moves(tmp_path: Path, deep: StepHold) -> None:
     bench = near()
     before = bench.stage.position_m()
-    with refused("plan", Tripped) as e:
+    with refused("plan", Tripped):
         record(bench, deep, tmp_path / "run")
-    assert e.value.reason is Reason.PLAN
     assert bench.stage.position_m() == before
 
 

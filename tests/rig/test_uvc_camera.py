@@ -185,25 +185,6 @@ def test_times_never_go_back_though_the_drivers_stamps_do(camera, source):
     assert camera.counts.dropped == 0
 
 
-def test_times_never_go_back_though_the_hosts_clock_does(source: FakeVideoCapture) -> None:
-    class Backwards:
-        def __init__(self) -> None:
-            self.back_ns = 0
-
-        def now_ns(self) -> int:
-            return time.monotonic_ns() - self.back_ns
-
-        def sleep(self, seconds: float) -> None:
-            raise AssertionError
-
-    clock = Backwards()
-    with UvcCamera("/dev/video7", SETTINGS, clock, opener=lambda where: source) as camera:
-        first, _ = camera.grab(PATIENCE_S)
-        clock.back_ns = 100_000_000
-        second, _ = camera.grab(PATIENCE_S)
-        assert second >= first
-
-
 # C3: size and format
 
 
