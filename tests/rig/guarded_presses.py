@@ -144,13 +144,8 @@ class PressBench:
 
 @dataclass(frozen=True)
 class Stop:
-    """How a fault ended.
-
-    Attributes:
-        reason: its name; empty where nothing stopped.
-        after_m: way from the step at which the force read lay five standard deviations off the true one.
-        ran_n: the largest true force from then on.
-    """
+    """How a fault ended: its name, empty where nothing stopped; the way from the step at which the force read
+    lay five standard deviations off the true one; and the largest true force from then on."""
 
     reason: str
     after_m: float
@@ -212,14 +207,9 @@ class ChangedForce:
 
 
 class AlteredForce:
-    """Alters the samples of a force sensor.
+    """A force sensor whose samples come late, stamped when they come, and with another gain, bias included.
 
-    Args:
-        device: the sensor.
-        clock: that it is stamped on.
-        delay_s: by which each sample comes late, stamped when it comes.
-        gain: of all axes, the bias included.
-        settle_s: time that passes until the first sample is there.
+    `settle_s` is the time that passes until the first sample is there.
     """
 
     def __init__(

@@ -1,9 +1,4 @@
-"""The driver on both firmwares in real time: on the fakes always, on real ones where a simulator is at hand.
-
-Written from the firmwares' public documentation and from what was observed. Simulators may run slower than
-real time, so that times are generous; distances are counted in the controller's own steps, as it reports
-them, and do not depend on its pace.
-"""
+"""Driver and fakes against both firmwares in real time; real ones where a simulator is at hand."""
 
 import math
 import random

@@ -30,15 +30,10 @@ ALLOWED_S = 0.04  # age of a sample at 2 mm/s: 0.08 mm over the speed
 
 
 class Flaky:
-    """A device that does not answer as it should for some time, once the stage has come to some depth.
+    """A force sensor or camera that fails for some seconds, so often, once the stage has come to some depth.
 
-    Args:
-        device: force sensor or camera.
-        stage: whose depth counts.
-        how: "late" keeps samples and stamps them on arrival, "lost" drops them, "silent" raises.
-        seconds: how long.
-        times: how often.
-        offset_n: added to the normal force from the first lift after that on.
+    It is "late" (keeps samples and stamps them on arrival), "lost" (drops them) or "silent" (raises). The
+    offset is added to the normal force from the first lift after that on.
     """
 
     def __init__(

@@ -35,15 +35,11 @@ def plan_with(**changes: Any) -> StepHold:
 
 @dataclass(frozen=True)
 class EngineState:
-    """State of the engine.
+    """State of the engine, by the plan that comes through it.
 
-    Attributes:
-        name: in the table.
-        plan: that comes through it.
-        due: whether the engine is there, in the second of its presses where there are two, so that the
-            force's stiffness is known.
-        pauses: the operator pauses in the second press, so that the engine comes there.
-        before: the fault sets in before the recording is begun, on devices that are open.
+    `due` tells whether the engine is there: in the second of its presses where there are two, so that the
+    force's stiffness is known. Where it `pauses`, the operator does in the second press. `before` is a fault
+    that sets in before the recording is begun, on devices that are open.
     """
 
     name: str

@@ -187,10 +187,7 @@ def measured(rig: ObservedRig, fault: RigFault, state: str, ended: str, message:
 def allowed_into_m(rig: ObservedRig, within: str, in_air: bool) -> float | None:
     """Way towards the skin or along it that is allowed once the fault shows [m]; None where none is stated.
 
-    Args:
-        rig: with its limits.
-        within: of the fault.
-        in_air: the way down to the clearance counts, which is faster.
+    Where what happens in the air counts, that is the way down to the clearance, which is faster.
     """
     limits, travel, plan = rig.rig.limits, rig.rig.stage.travel, rig.plan
     assert rig.began_ns is not None
