@@ -222,19 +222,6 @@ def test_ok_is_not_done(talk):
     assert talk.x_mm() == pytest.approx(2.0, abs=0.01)
 
 
-def test_a_full_planner_answers_one_line_a_move(talk):
-    talk.port.write(b"G21G91G94\n")
-    talk.hear("ok$")
-    began = time.monotonic()
-    times = []
-    for _ in range(20):
-        talk.send("G1X0.2F60")
-        times.append(time.monotonic() - began)
-    # The last answer had to wait for about four moves of 0.2 s and more; were it at once, it were queued.
-    assert times[-1] - times[13] > 0.3
-    talk.reset()
-
-
 def test_a_hold_then_a_reset_keeps_the_place_and_the_lock_off(talk):
     talk.send("G21G91G94G1X30F600")
     time.sleep(0.5)
@@ -253,18 +240,3 @@ def test_a_reset_in_motion_is_alarm_3(talk):
     assert "ALARM:3" in talk.reset()
     assert talk.status().startswith("<Alarm")
     assert talk.send("G1X1F60")[-1] == "error:9"
-
-
-def test_a_reset_undoes_all_modes(talk):
-    talk.send("G20G91")
-    talk.reset()
-    modes = next(line for line in talk.send("$G") if line.startswith("[GC:"))
-    assert {"G0", "G21", "G90"} <= set(modes.strip("[]").removeprefix("GC:").split())
-
-
-@pytest.mark.parametrize(("words", "went_mm"), [("G91X0.01F100", 0.254), ("G21G91X0.01F100", 0.01)])
-def test_a_jog_reads_lengths_in_the_unit_left_behind_unless_it_states_its_own(talk, words, went_mm):
-    talk.send("G20")
-    assert talk.send(f"$J={words}")[-1] == "ok"
-    talk.until("Idle")
-    assert talk.x_mm() == pytest.approx(went_mm, abs=0.005)

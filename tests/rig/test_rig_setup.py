@@ -15,10 +15,9 @@ from tests.fakes.grbl_parameters import GrblFaults, GrblParameters
 from tests.fakes.marlin_firmware import MarlinFaults, MarlinFirmware, MarlinParameters
 from tests.fakes.netft_box import FakeNetFT, FakePage
 from tests.fakes.printing_scale import PrintingScale
-from tests.fakes.video_capture import FakeVideoCapture
 from tests.refusals import refused
 from tests.rig.conftest import GrblBench
-from tests.rig.lab_files import lab_file, palpate, pushed, served
+from tests.rig.lab_files import CAMERA, lab_file, palpate, pushed, served
 from typer.testing import CliRunner
 
 from palpate.cli import app
@@ -30,7 +29,6 @@ from palpate.rig.commissioning.rig_setup import PRESS_MM_S, set_up
 from palpate.rig.commissioning.setup_answers import Answers
 from palpate.rig.plans import Grid, StepHold
 from palpate.rig.real.grbl import GrblSpec, GrblStage
-from palpate.rig.real.uvc_camera import UvcCamera, UvcSettings
 from palpate.rig.rig_file import LimitsPart, open_rig, read_rig
 
 SURFACE_MM = 5.5  # of the skin, in the sensor's z
@@ -38,13 +36,6 @@ STIFFNESS_N_MM = 4.0
 WEIGHT_G = 200.0
 G = 9.80665
 OFFSET_N = (0.4, -0.2, 7.0)  # the box is not zeroed
-
-
-def fake_camera(clock: Clock | None = None, **_: Any) -> UvcCamera:
-    """A camera of noise, as a class of one's own would be named in a rig's file."""
-    settings = UvcSettings(size_px=(64, 48), rate_hz=20.0, exposure_s=5e-3, freeze_s=5.0)
-    source = FakeVideoCapture(rate_hz=20.0)
-    return UvcCamera("/dev/video7", settings, clock, opener=lambda where: source)
 
 
 LABS: dict[str, Lab] = {}
@@ -142,7 +133,7 @@ def answers_of(one: Lab, **changed: Any) -> LabAnswers:
         {
             "name": "bench 2", "stage_ports": [one.bench.terminal.path], "boot_s": 0.05, "latency_s": 0.01,
             "force_kind": "tests.rig.test_rig_setup:LabForce", "force_options": {"lab": "bench 2"},
-            "camera_kind": "tests.rig.test_rig_setup:fake_camera", "may_move": True, "home": False,
+            "camera_kind": CAMERA, "may_move": True, "home": False,
             "reach_mm": 4.0, "mass_g": WEIGHT_G, "mass_tolerance_g": 0.2, "weight_lies": True,
         }
         | changed,
@@ -405,28 +396,6 @@ def test_a_person_who_answers_wrongly_is_asked_again_and_a_file_is_not(capsys):
     assert "99" in capsys.readouterr().err
     with pytest.raises(InputError):
         Answers(yes=True, read=input).number("n", "How many", 0.0, 10.0, 11.0)
-
-
-@pytest.mark.slow
-def test_ctrl_c_at_any_question_writes_nothing_and_moves_nothing(tmp_path: Path) -> None:
-    class Leaves(LabAnswers):
-        left = 0
-
-        def ask(self, name: str, question: str, proposal: Any = None, *, words: bool = False) -> Any:
-            if self.left == 0:
-                raise KeyboardInterrupt
-            self.left -= 1
-            return super().ask(name, question, proposal, words=words)
-
-    with lab() as one:
-        for left in (0, 3, 4, 7, 10, 12, 14):
-            person = Leaves(one, answers_of(one, may_move=False, mass_g=0)._stated)
-            person.left = left
-            with pytest.raises(KeyboardInterrupt):
-                set_up(tmp_path / "rig.toml", person, lambda line: None)
-        assert b"$J" not in one.bench.received
-        set_up(tmp_path / "rig.toml", answers_of(one, may_move=False, mass_g=0), lambda line: None)
-    assert (tmp_path / "rig.toml").exists()  # the control: each device was given back each time
 
 
 @pytest.mark.slow
