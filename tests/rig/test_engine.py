@@ -1,7 +1,6 @@
 """The engine: what it records, how it ends, and that nothing is repeated or skipped however it is cut."""
 
 import json
-import math
 import os
 import threading
 from collections.abc import Callable
@@ -418,50 +417,6 @@ def test_a_full_disk_stops_and_lifts_and_the_run_stays_readable(tmp_path, monkey
         assert "room left" in str(last["message"])
     assert record(near(clock=ManualClock(3 * CLOCK_NS)), of, out).state is State.DONE
     assert sorted(keys(Run.open(out))) == sorted(wanted(of))
-
-
-class Odd:
-    """A device that raises an exception of its own, or measures no number, once the skin is touched."""
-
-    def __init__(self, inner: object, name: str, rig: object, result: object) -> None:
-        self._inner, self._name, self._rig, self._result = inner, name, rig, result
-
-    def __getattr__(self, name: str) -> object:
-        real = getattr(self._inner, name)
-        if name != self._name:
-            return real
-
-        def call(*args: object) -> object:
-            touched = self._rig.stage._world.stand_at()[2] > 0.3e-3
-            if not touched:
-                return real(*args)
-            if isinstance(self._result, Exception):
-                raise self._result
-            return [replace(one, force_n=(0.0, 0.0, self._result)) for one in real(*args)]
-
-        return call
-
-
-@pytest.mark.parametrize(
-    ("device", "call", "result", "reason"),
-    [
-        ("force", "drain", math.nan, Reason.FORCE_FAULT),
-        ("force", "drain", KeyError("Fz"), Reason.FORCE_SENSOR),
-        ("force", "latest", ValueError("odd"), Reason.FORCE_SENSOR),
-        ("camera", "grab", RuntimeError("usb"), Reason.CAMERA),
-    ],
-)
-@pytest.mark.cases(1)
-def test_whatever_a_driver_does_the_probe_is_lifted_and_the_name_is_the_device_s(
-    tmp_path, device, call, result, reason
-):
-    sound = near()
-    odd = replace(sound, **{device: Odd(getattr(sound, device), call, sound, result)})
-    outcome = record(odd, plan(), tmp_path / "run")
-    assert (outcome.state, outcome.reason) == (State.FAILED, reason)
-    assert "not lifted" not in outcome.message
-    assert sound.stage.position_m()[2] <= -CLEARANCE_MM * 1e-3 + 1e-9
-    assert check(tmp_path / "run").sound
 
 
 def test_a_stage_that_answers_only_at_the_second_try_is_lifted_at_the_third(tmp_path: Path) -> None:

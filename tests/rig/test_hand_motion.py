@@ -1,9 +1,7 @@
 """Work by hand: no homing from within the skin, no zero in contact, no jog past a force or a ceiling."""
 
 import math
-import os
 import random
-import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -15,7 +13,6 @@ from tests.refusals import refused
 from tests.rig.guarded_presses import ChangedForce
 from tests.rig.lab_files import lab_file
 
-from palpate.cli.record.rig_hand_verbs import stopped_by_signals
 from palpate.core import NS_PER_S, DeviceError, Frame, InputError, ManualClock, PalpateError, Position, Wrench
 from palpate.core.errors import RangeError
 from palpate.devices import Mounting
@@ -26,7 +23,6 @@ from palpate.rig.commissioning.first_touch import touch_twice
 from palpate.rig.commissioning.hand_motion import Hand, await_push, discard, jog, lift_clear, touch_off, zero
 from palpate.rig.commissioning.homing import home_clear
 from palpate.rig.rig import Rig
-from palpate.rig.rig_check import check_rig
 from palpate.rig.rig_file import MarlinPart, open_rig
 from palpate.rig.virtual import Fault, virtual_rig
 
@@ -169,19 +165,6 @@ def test_two_touches_that_begin_in_the_skin_find_its_surface() -> None:
     assert found.surface_m[2] == pytest.approx(0.0, abs=0.5e-3)
     with pytest.raises(RangeError):
         touch_twice(rig.stage, rig.force, rig.limits, rig.clock, 6e-3)
-
-
-def test_the_check_of_a_rig_goes_no_lower_than_where_its_probe_stands(monkeypatch) -> None:
-    rig, targets = virtual_rig(), list[float]()
-    start_m, move_to = rig.stage.position_m()[2], rig.stage.move_to
-
-    def followed(target: Position, speed_m_s: float) -> None:
-        move_to(target, speed_m_s)  # of which some are refused, as they have to be
-        targets.append(target[2])
-
-    monkeypatch.setattr(rig.stage, "move_to", followed)
-    check_rig(rig)
-    assert max(targets) <= start_m + 1e-9
 
 
 def test_a_jog_into_the_skin_ends_at_its_change_of_force() -> None:
@@ -378,17 +361,6 @@ def test_a_knock_in_a_search_gives_no_position() -> None:
 
 
 # Commissioning verbs: what ends them, what they refuse, and what a camera's rate is.
-
-
-@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
-def test_a_process_that_is_told_to_end_stops_as_by_ctrl_c(name: str) -> None:
-    number = getattr(signal, name)
-    kept = signal.signal(number, signal.SIG_DFL)  # nohup, under which tests may run, has one ignored
-    before = signal.getsignal(number)
-    with pytest.raises(KeyboardInterrupt), stopped_by_signals():
-        os.kill(os.getpid(), number)
-    assert signal.getsignal(number) is before
-    signal.signal(number, kept)
 
 
 BOX = {"least_mm": [-1, -1, -1], "greatest_mm": [1, 1, 1]}

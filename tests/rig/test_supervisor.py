@@ -395,25 +395,3 @@ def test_the_pages_emergency_stop_passes_a_recorder_that_hangs(supervised, tmp_p
         process.wait()
     until(lambda: bench.noted("close"))
     assert bench.z_m() > FREE_M
-
-
-@pytest.mark.slow
-def test_ctrl_c_in_the_terminal_lifts_and_the_same_command_goes_on(supervised, tmp_path: Path) -> None:
-    bench, plan, out = supervised(), tmp_path / "plan.toml", tmp_path / "run"
-    plan.write_text(
-        'kind = "stepped"\ntaps = 0\nname = "small"\ndepth_mm = 1.0\nstep_mm = 0.5\nframes = 2\n'
-        "reference_frames = 1\nclearance_mm = 1.5\nseek_mm = 1.0\ntravel_mm_s = 15.0\npress_mm_s = 1.0\n"
-        'seek_mm_s = 1.0\ncycles = 1\n[places]\nkind = "listed"\nat_mm = [[0.0, 0.0], [1.0, 0.0]]\n'
-    )
-    words = [sys.executable, "-m", "palpate.cli", "record", "--rig", str(bench.path)]
-    words += ["--plan", str(plan), "--out", str(out), "--json", "--quiet"]
-    path = os.pathsep.join([str(Path(__file__).parent), *sys.path])
-    run = {"env": {**os.environ, "PYTHONPATH": path}, "stdout": subprocess.PIPE, "text": True}
-    with subprocess.Popen(words, **run) as first:
-        until(lambda: any(one["place"][2] > 0.4 * MM for one in bench.noted("move")))
-        first.send_signal(signal.SIGINT)
-        said, _ = first.communicate(timeout=60)
-    assert (first.returncode, json.loads(said)["state"]) == (1, "aborted")
-    assert bench.z_m() <= FREE_M + 1e-5
-    second = subprocess.run(words, **run, timeout=120)
-    assert (second.returncode, json.loads(second.stdout)["state"]) == (0, "done")
