@@ -29,7 +29,7 @@ def felt(hand: VirtualHand, seconds: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", SENSORS)
-def test_plateaus_hold_the_force_that_was_aimed_at(name: str) -> None:
+def test_plateaus_hold_the_force_that_was_aimed_at_and_nothing_is_touched_between(name: str) -> None:
     hand = VirtualHand(name, seed=3, clock=ManualClock(), habits=HandHabits(slips=0.0))
     rows = felt(hand, 7.0)
     least, greatest = hand.force_range_n
@@ -43,14 +43,6 @@ def test_plateaus_hold_the_force_that_was_aimed_at(name: str) -> None:
         slope = np.interp(press.force_n, law.force_n, np.gradient(law.force_n, law.depth_m))
         allowed = 0.05 * press.force_n + 4 * hand.world.variation.seating_m * slope + 0.1
         assert abs(np.mean(during) - press.force_n) < allowed
-
-
-@pytest.mark.parametrize("name", SENSORS)
-@pytest.mark.cases(1)
-def test_between_presses_nothing_is_touched(name: str) -> None:
-    hand = VirtualHand(name, seed=1, clock=ManualClock())
-    rows = felt(hand, 8.0)
-    for press in hand.world.presses[:-1]:
         air = rows[(rows[:, 0] > press.ends_s) & (rows[:, 0] < press.ends_s + 0.4), 1]
         assert abs(np.mean(air)) < 0.05
         assert press.ends_s + 0.5 <= hand.world.presses[-1].begins_s
