@@ -72,6 +72,13 @@ NEAR = [b"<", b">", b"Idle", b"Hold:", b"|", b"MPos:", b"FS:", b"1.5", b"-", b",
 NEAR += [b"error:", b"ALARM:", b"$", b"=", b"9", b"\r", b"\n", b"\xff", b"\0", b"Grbl ", b"nan", b"H:", b"ok"]
 
 
+@given(st.lists(st.sampled_from(NEAR), max_size=40).map(b"".join))
+def test_nearly_right_bytes_are_lines_or_protocol_errors(data):
+    for line in Splitter().feed(data + b"\n"):
+        with suppress(ProtocolError):
+            parse_line(line)
+
+
 @given(st.lists(st.sampled_from(sorted(SAID)), max_size=8), st.lists(st.integers(0, 400), max_size=6))
 def test_lines_are_the_same_however_the_stream_is_broken_up(lines, cuts):
     stream = b"".join(line + b"\r\n" for line in lines)

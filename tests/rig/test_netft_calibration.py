@@ -81,7 +81,9 @@ def test_a_field_that_is_missing_empty_double_nested_or_too_long_is_refused(name
 
 
 @pytest.mark.parametrize("name", ["cfgcpf", "cfgcpt", "comrdtrate"])
-@pytest.mark.parametrize("number", ["nan", "-0.0", "1e999", "1_000", "1,5", "١٢", "N"])
+@pytest.mark.parametrize(
+    "number", ["nan", "inf", "-1", "0", "-0.0", "1e999", "1_000", "0x10", "1,5", "١٢", "1 2", "1e", "N"]
+)
 def test_a_number_that_is_not_plain_finite_and_positive_is_refused(name: str, number: str) -> None:
     with pytest.raises(ProtocolError, match=name):
         calibration(page(**{name: number}))

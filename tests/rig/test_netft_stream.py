@@ -104,6 +104,13 @@ def test_a_gap_across_the_wrap_is_counted_and_duplicates_and_stale_records_are_d
     assert (sequence.lost, sequence.duplicate, sequence.out_of_order) == (3, 1, 1)
 
 
+def test_a_stale_record_does_not_make_the_next_one_a_loss() -> None:
+    sequence = RdtSequence()
+    for n in (1000, 1001, 5, 1002):
+        sequence.accept(n)
+    assert (sequence.last, sequence.lost, sequence.out_of_order) == (1002, 0, 1)
+
+
 @given(U32, st.lists(st.integers(0, 1000), min_size=1, max_size=60))
 def test_every_record_is_accepted_duplicate_or_out_of_order_and_the_rest_of_the_span_is_lost(first, steps):
     sequence, accepted = RdtSequence(), []
