@@ -1,9 +1,8 @@
 """A fake GRBL stage at a real pseudo-terminal, with its driver, on a clock in the test's hand."""
 
-from __future__ import annotations
-
 import math
 import time
+from collections.abc import Callable
 from contextlib import ExitStack
 
 import pytest
@@ -12,10 +11,19 @@ from tests.fakes.grbl_parameters import GrblFaults, GrblParameters
 from tests.rig.serial_terminal import FakeTerminal
 
 from palpate.core.clock import NS_PER_S, ManualClock
+from palpate.devices import motion_guard
 from palpate.rig.real.grbl.grbl_stage import GrblStage
 from palpate.rig.real.grbl.grbl_supervisor import GrblSpec
 
 PATIENCE_S = 60.0  # for what must happen; a loaded machine may take long, a broken one takes for ever
+
+
+def until(condition: Callable[[], object]) -> None:
+    """Wait for what must happen."""
+    end = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(1e-3)
 
 
 class FastClock:
@@ -129,6 +137,23 @@ def grbl_bench():
             )
 
         yield make
+
+
+@pytest.fixture
+def grbl_open(grbl_bench):
+    """Make a bench and open its stage; whether its position is known, as on a bench."""
+
+    def make(*args, known: bool = True, **spec) -> tuple[GrblBench, GrblStage]:
+        bench = grbl_bench(*args, **spec)
+        return bench, bench.open(known=known)
+
+    return make
+
+
+@pytest.fixture
+def coarse_looks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the guard look once a force sample of a virtual rig: for tests of what is recorded."""
+    monkeypatch.setattr(motion_guard, "POLL_S", 0.005)
 
 
 @pytest.fixture

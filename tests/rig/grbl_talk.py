@@ -6,8 +6,6 @@ real time. PALPATE_GRBL_SIM names the executable of one of Grbl 1.1, PALPATE_GRB
 neither is part of palpate.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shlex

@@ -8,13 +8,7 @@ LINES_HZ = 10.0
 
 
 class HandScale:
-    """Device that prints a force of a while ago, for `FakeTerminal`.
-
-    Args:
-        force_n: force at a time on the terminal's clock [N].
-        newtons: of one of its unit; its lines carry none.
-        tare_n: load that lies on it all the while [N].
-    """
+    """Device that prints a force of a while ago, in a unit of so many newtons, and a load beside it."""
 
     def __init__(
         self, force_n: Callable[[float], float], newtons: float = 1e-3 * G0, tare_n: float = 0.0

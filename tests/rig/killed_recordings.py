@@ -9,9 +9,6 @@ work kills at the same places; a few milliseconds of the clock follow, so that w
 What lay on disk at one kill must lie there at the next.
 """
 
-from __future__ import annotations
-
-import argparse
 import hashlib
 import json
 import os
@@ -22,69 +19,39 @@ import sys
 import time
 import traceback
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tests.rig.rigs import near, quick
 
 from palpate.core import ManualClock
 from palpate.recordings import Run, check
 from palpate.rig import State, record
-from palpate.rig.plans import Listed, StepHold
-from palpate.rig.rig import Rig
-from palpate.rig.virtual import Variation, virtual_rig
-from palpate.sensors import palm
-from palpate.sensors.palm.palm_sensor import Palm
+from palpate.rig.virtual import Variation
 
-FIRST = 0.1
-SHARE_FIRST = 0.25
+FIRST, SHARE_FIRST = 0.1, 0.25
 MAX_WAIT_S = 0.01
-SPEC = palm.cropped(palm.palm(), 16, "tiny")
-
-
-def small_plan() -> StepHold:
-    """Two places, two cycles, three depths and a reference each: 16 shots, 48 frames."""
-    return StepHold(
-        name="killed",
-        places=Listed(kind="listed", at_mm=((0.0, 0.0), (6.0, -4.0))),
-        cycles=2,
-        depth_mm=1.2,
-        step_mm=0.4,
-        frames=3,
-        reference_frames=3,
-        clearance_mm=0.4,
-        travel_mm_s=50.0,
-        taps=0,
-    )
-
-
-def small_rig() -> Rig:
-    """A rig of tiny frames that runs as fast as it is asked to."""
-    variation = Variation(force_noise_n=2e-3, frame_jitter_s=0.0, relaxation=())
-    return virtual_rig(Palm(SPEC), clock=ManualClock(time.monotonic_ns()), variation=variation)
+PLAN = quick(name="killed", frames=3, reference_frames=3)
 
 
 @dataclass
 class Tally:
-    """Tally of what the kills met.
-
-    Attributes:
-        kills: recordings that were killed; early: those in the first tenth of its length.
-        unbegun: kills before the run's folder was there.
-        empty: kills that left a run without a frame.
-        runs: recordings that came to their end, each compared with its plan.
-        wrong: what was not as it should be.
-    """
+    """Kills; those in the first tenth, before the folder, and without a frame; runs, and what was wrong."""
 
     kills: int = 0
     early: int = 0
     unbegun: int = 0
     empty: int = 0
     runs: int = 0
-    most_kills_of_a_run: int = 0
-    orphan_frames: int = 0
     wrong: list[str] = field(default_factory=list)
+
+
+def recorded(out: Path) -> bool:
+    variation = Variation(force_noise_n=2e-3, frame_jitter_s=0.0, relaxation=())
+    rig = near(clock=ManualClock(time.monotonic_ns()), variation=variation)
+    return record(rig, PLAN, out).state is State.DONE
 
 
 def processor_s(child: int) -> float:
@@ -101,7 +68,7 @@ def recorded_in_child(out: Path, kill_after_s: float | None, wait_s: float = 0.0
     if child == 0:
         status = 9
         try:
-            status = 0 if record(small_rig(), small_plan(), out).state is State.DONE else 1
+            status = 0 if recorded(out) else 1
         except BaseException:
             traceback.print_exc()
         finally:
@@ -124,48 +91,37 @@ def _ended(status: int) -> str | None:
     return "done" if os.waitstatus_to_exitcode(status) == 0 else f"status {status}"
 
 
-def stored(out: Path) -> dict[str, tuple[str, int]]:
-    """Checksum and length of each file of a run."""
+def stored(out: Path) -> dict[str, str]:
+    """Checksum of each file of a run."""
     files = sorted(out.iterdir()) if out.is_dir() else []
-    return {path.name: (hashlib.sha256(path.read_bytes()).hexdigest(), path.stat().st_size) for path in files}
+    return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
 
 
-def altered(before: dict[str, tuple[str, int]], out: Path) -> list[str]:
-    """Files that are no longer as they were."""
-    now = stored(out)
-    return [name for name, was in before.items() if now.get(name) != was]
-
-
-def faults_of(out: Path) -> tuple[list[str], int]:
-    """How the frames of a run differ from the plan's, and how many have no record."""
-    run, plan = Run.open(out), small_plan()
+def faults_of(out: Path) -> list[str]:
+    """How the frames of a run differ from the plan's, and records without a frame."""
+    run = Run.open(out)
     labels = run.labels.dropna(subset=["shot"])
     held = Counter(zip(labels["shot"], labels["frame_in_shot"].astype(int), strict=True))
-    wanted = Counter((s.key, k) for press in plan.presses() for s, n in plan.shots(press) for k in range(n))
-    found = [
-        f"{key} is there {held[key]} times, not {wanted[key]}"
-        for key in held | wanted
-        if held[key] != wanted[key]
-    ]
+    wanted = Counter((s.key, k) for press in PLAN.presses() for s, n in PLAN.shots(press) for k in range(n))
+    found = [f"{key} is there {held[key]} times" for key in held | wanted if held[key] != wanted[key]]
     for index in range(len(run)):
         run.frame(index)
     report = check(out)
-    if report.orphan_records:
-        found.append(f"{report.orphan_records} records without a frame")
-    return found, report.orphan_frames
+    return found + ([f"{report.orphan_records} records without a frame"] if report.orphan_records else [])
 
 
 def killed_until_whole(out: Path, rng: np.random.Generator, length_s: float, most: int, tally: Tally) -> None:
     """One run, killed at random moments until it comes to its end by itself, or `most` kills are spent."""
-    before: dict[str, tuple[str, int]] = {}
+    before: dict[str, str] = {}
     kills = 0
     while True:
         early = rng.random() < SHARE_FIRST
         after_s = float(rng.uniform(0.0, FIRST * length_s if early else length_s))
         wait_s = float(rng.uniform(0.0, MAX_WAIT_S))
         ended = recorded_in_child(out, after_s if kills < most else None, wait_s)
-        tally.wrong += [f"{out.name}: {name} was altered" for name in altered(before, out)]
-        before = stored(out)
+        now = stored(out)
+        tally.wrong += [f"{out.name}: {name} was altered" for name in before if now.get(name) != before[name]]
+        before = now
         if ended is not None:
             break
         kills += 1
@@ -176,20 +132,16 @@ def killed_until_whole(out: Path, rng: np.random.Generator, length_s: float, mos
         tally.wrong.append(f"{out.name}: after {kills} kills it ended with {ended}")
     tally.kills += kills
     tally.runs += 1
-    tally.most_kills_of_a_run = max(tally.most_kills_of_a_run, kills)
-    found, orphans = faults_of(out)
-    tally.orphan_frames += orphans
-    tally.wrong += [f"{out.name}: {what}" for what in found]
+    tally.wrong += [f"{out.name}: {what}" for what in faults_of(out)]
 
 
-def killed(kills: int, folder: Path, seed: int = 0) -> dict[str, Any]:
-    """Kill so many recordings, and tell what was met; runs that were right are thrown away."""
+def killed(kills: int, folder: Path) -> dict[str, Any]:
+    """Kill so many recordings, and return what was met; runs that were right are thrown away."""
     folder.mkdir(parents=True, exist_ok=True)
-    rng, tally = np.random.default_rng(seed), Tally()
-    recorded = folder / "whole"
-    record(small_rig(), small_plan(), folder / "warm")  # so that nothing is built for the first time below
+    rng, tally = np.random.default_rng(kills), Tally()
+    recorded(folder / "warm")  # so that nothing is built for the first time below
     before_s = resource.getrusage(resource.RUSAGE_CHILDREN)
-    assert recorded_in_child(recorded, None) == "done"
+    assert recorded_in_child(folder / "whole", None) == "done"
     after_s = resource.getrusage(resource.RUSAGE_CHILDREN)
     length_s = sum(after_s[:2]) - sum(before_s[:2])
     while tally.kills < kills:
@@ -198,16 +150,8 @@ def killed(kills: int, folder: Path, seed: int = 0) -> dict[str, Any]:
         killed_until_whole(out, rng, length_s, kills - tally.kills, tally)
         if len(tally.wrong) == wrong:
             shutil.rmtree(out)
-        if tally.runs % 20 == 0:
-            print(json.dumps(vars(tally)), file=sys.stderr, flush=True)
-    left = [path.name for path in folder.iterdir() if path.name.endswith(".partial")]
-    return {**vars(tally), "length_s": round(length_s, 2), "unfinished_folders": len(left)}
+    return asdict(tally)
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("kills", type=int)
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--seed", type=int, default=0)
-    args = parser.parse_args()
-    print(json.dumps(killed(args.kills, args.folder, args.seed)))
+    print(json.dumps(killed(int(sys.argv[1]), Path(sys.argv[2]))))

@@ -1,7 +1,5 @@
 """Fakes of a stage, a force box and a camera at real ports and sockets, and their rig.toml."""
 
-from __future__ import annotations
-
 import os
 import random
 import subprocess
@@ -150,13 +148,9 @@ def lab_file(
             "name": "lab",
             "origin_mm": [-50.0, 50.0, 30.0],
             "stage": {
-                "kind": "grbl",
-                "port": terminal.path,
-                "reference": "counts",
+                "kind": "grbl", "port": terminal.path, "reference": "counts",
                 "steps_per_mm": [stage.settings[number] for number in (100, 101, 102)],
-                "direction_mask": stage.settings[3],
-                "boot_s": 0.05,
-                "latency_s": 0.01,
+                "direction_mask": stage.settings[3], "boot_s": 0.05, "latency_s": 0.01,
             },
             "force": {
                 "kind": "netft",
@@ -173,7 +167,7 @@ def lab_file(
                 "force_N": 15.0,
                 "age_s": 0.4,
             },
-        }
+        }  # fmt: skip
         yield lab
 
 

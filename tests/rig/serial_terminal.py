@@ -29,15 +29,9 @@ class SerialDevice(Protocol):
 
 
 class FakeTerminal:
-    """Serves one device; a context manager. POSIX only.
+    """Serves one device, within a `with` block; POSIX only.
 
-    Args:
-        device: it is touched only with `lock` held.
-        clock: its time; one that is advanced by hand makes it stand still in between.
-
-    Attributes:
-        lock: hold it to look at the device or to change it.
-        path: of the port to open; a new one after `plug`.
+    Hold `lock` to look at the device or to change it. `path` is the port to open; a new one after `plug`.
     """
 
     def __init__(self, device: SerialDevice, clock: Clock | None = None) -> None:

@@ -4,8 +4,6 @@ The stage and the force sensor live in the supervisor's process and share its me
 they wrote.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import random

@@ -4,8 +4,6 @@ The ordinary suite runs every third fault of the rig in one state, by a fixed ru
 state, and a few cells of the stage; the slow tests run all.
 """
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 from collections import Counter
@@ -93,9 +91,7 @@ def test_after_a_fault_the_same_command_goes_on_to_the_plan_s_frames(fault: RigF
     ids=[f"{f.part}: {f.name} / {s.name}, {w}" for f, s, w in ORDINARY_GRBL],
 )
 @pytest.mark.cases(1)
-def test_a_fault_of_the_stage_is_stopped_named_lifted_and_recorded_on(
-    fault: RigFault, state, firmware
-) -> None:
+def test_a_fault_of_the_stage_is_stopped_named_lifted_and_recorded_on(fault, state, firmware):
     assert faults_of(run_grbl_cell(fault, state, firmware), fault) == []
 
 
@@ -131,9 +127,7 @@ class TestControls:
         broken = self.broken("force", "stuck", "press")
         assert "ended as" in broken or "went on" in broken
 
-    def test_a_guard_that_does_not_look_at_ages_goes_on_too_far(
-        self, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_a_guard_that_does_not_look_at_ages_goes_on_too_far(self, monkeypatch):
         monkeypatch.setattr(ForceWatch, "check_age", lambda self, age_s: None)
         monkeypatch.setattr(ForceMonitor, "oldest_s", property(lambda self: 1e9))
         assert "went on" in self.broken("force", "no sample any more", "seek")
@@ -151,9 +145,7 @@ class TestControls:
         monkeypatch.setattr("palpate.rig.engine.Engine._lift_if_possible", lambda self: "")
         assert "probe stays" in self.broken("force", "saturates, or any fault bit", "hold")
 
-    def test_a_stage_twice_as_late_as_it_states_is_beyond_its_bound(
-        self, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_a_stage_twice_as_late_as_it_states_is_beyond_its_bound(self, monkeypatch):
         stop = VirtualStage.stop
 
         def late(self: VirtualStage) -> None:
@@ -164,16 +156,13 @@ class TestControls:
         monkeypatch.setattr(VirtualStage, "stop", late)
         assert "the bound" in self.broken("force", "does not answer", "press")
 
-    def test_the_bound_is_no_wider_than_it_must_be(self) -> None:
+    def test_the_bound_is_no_wider_than_it_must_be_and_another_run_or_end_is_noticed(self) -> None:
         cell, fault = self.cell("force", "does not answer", "press")
         assert faults_of(cell, fault) == []
         v, a, late_s = 2.0, 500.0, 0.004  # mm/s, mm/s^2 and s of the virtual stage
         assert cell.bound_mm == pytest.approx(v**2 / (2 * a) + v * late_s)
         for less in (v**2 / (2 * a), v * late_s, v**2 / (4 * a) + v * late_s):
             assert "the bound" in " ".join(faults_of(replace(cell, bound_mm=less), fault))
-
-    def test_a_run_that_is_not_the_plan_s_is_noticed(self) -> None:
-        cell, fault = self.cell("camera", "does not answer", "hold")
         assert faults_of(replace(cell, went_on="frames that are not the plan's"), fault)
         assert faults_of(replace(cell, ended="storage"), fault)
 

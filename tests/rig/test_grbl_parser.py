@@ -1,7 +1,5 @@
 """The parser takes any bytes, in any pieces, and what firmware was seen to say comes out as it was meant."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from itertools import pairwise
 
@@ -33,18 +31,14 @@ SAID = {
     b"[MSG:Caution: Unlocked]": GrblMessage("MSG", "Caution: Unlocked"),
     b"[PRB:0.000,0.000,-0.872:1]": GrblMessage("PRB", "0.000,0.000,-0.872:1"),
     b"<Idle|MPos:1.000,-2.500,0.000|Bf:15,128|FS:0,0|Pn:PX|WCO:1.000,0.000,0.000|Ov:100,100,100>": GrblStatus(
-        GrblState.IDLE,
-        machine_mm=(1.0, -2.5, 0.0),
-        offset_mm=(1.0, 0.0, 0.0),
-        feed_mm_min=0.0,
-        free_blocks=15,
-        pins="PX",
+        GrblState.IDLE, machine_mm=(1.0, -2.5, 0.0), offset_mm=(1.0, 0.0, 0.0), feed_mm_min=0.0,
+        free_blocks=15, pins="PX",
     ),
     b"<Hold:1|WPos:0.000,0.000,0.000|F:120|H:0|New:7>": GrblStatus(
         GrblState.HOLD, substate=1, work_mm=(0.0, 0.0, 0.0), feed_mm_min=120.0, homed=False
     ),
     b"<Dance|MPos:0.000,0.000,0.000>": GrblStatus(GrblState.UNKNOWN, machine_mm=(0.0, 0.0, 0.0)),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -58,21 +52,11 @@ def test_what_firmware_says_is_what_is_read(said, meant):
 @pytest.mark.parametrize(
     "line",
     [
-        b"",
-        b"okk",
-        b"error:",
-        b"error:1e3",
-        b"ALARM:-1",
-        b"<Idle|MPos:0.000,nan,0.000>",
-        b"<Idle|MPos:1e3,0.000,0.000>",
-        b"<Idle|MPos:inf,0.000,0.000>",
-        b"<Idle|MPos:0.000,0.0",
-        b"<|MPos:0.000,0.000,0.000>",
-        b"[MSG:cut",
-        b"Gr\xffbl 1.1h",
-        b"x" * (MAX_LINE + 1),
+        b"", b"okk", b"error:", b"error:1e3", b"ALARM:-1", b"<Idle|MPos:0.000,nan,0.000>",
+        b"<Idle|MPos:1e3,0.000,0.000>", b"<Idle|MPos:inf,0.000,0.000>", b"<Idle|MPos:0.000,0.0",
+        b"<|MPos:0.000,0.000,0.000>", b"[MSG:cut", b"Gr\xffbl 1.1h", b"x" * (MAX_LINE + 1),
     ],
-)
+)  # fmt: skip
 def test_what_is_damaged_is_refused(line):
     with pytest.raises(ProtocolError):
         parse_line(line)

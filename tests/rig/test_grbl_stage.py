@@ -1,7 +1,5 @@
 """The driver on a fake of Grbl 1.1h and grblHAL, over a real pseudo-terminal: when all goes well."""
 
-from __future__ import annotations
-
 import math
 import re
 import sys
@@ -23,11 +21,8 @@ from palpate.rig.real.grbl.grbl_supervisor import GrblSpec
 START = (-0.050, 0.050, 0.050)
 STEP_MM = 0.02  # two clock ticks of the fake at 10 mm/s: it takes up a hold no finer than that
 MODELS = {
-    "Grbl": GrblParameters(homed=True),
-    "Grbl, jogs held": GrblParameters(homed=True, hold_cancels_jog=False),
+    "Grbl": GrblParameters(homed=True, offset_mm=(3.0, -4.0, 5.0)),
     "grblHAL": GrblParameters(firmware="grblHAL", homed=True),
-    "work offset": GrblParameters(homed=True, offset_mm=(3.0, -4.0, 5.0)),
-    "slow to obey": GrblParameters(homed=True, latency_s=0.02),
     "slow to obey, jogs held": GrblParameters(homed=True, latency_s=0.02, hold_cancels_jog=False),
 }
 
@@ -43,10 +38,7 @@ def metres(machine_mm):
 
 @pytest.mark.parametrize(
     ("firmware", "reports", "remedy"),
-    [
-        *(("1.1h", 0, 1), ("1.1h", 2, 1), ("grblHAL", 1, 511), ("grblHAL", 510, 511)),
-        *(("1.1h", 1, None), ("grblHAL", 17, None), ("grblHAL", 511, None)),
-    ],
+    [*(("1.1h", 2, 1), ("grblHAL", 1, 511), ("grblHAL", 510, 511), ("grblHAL", 17, None))],
 )
 def test_reports_without_coordinates_or_inputs_are_refused_with_the_remedy(
     grbl_bench, firmware, reports, remedy
@@ -59,9 +51,8 @@ def test_reports_without_coordinates_or_inputs_are_refused_with_the_remedy(
         bench.open()
 
 
-def test_one_wrong_digit_counts_only_when_a_second_report_confirms_it(grbl_bench, model):
-    bench = grbl_bench(model, GrblFaults(wrong_digit_every=11))
-    stage = bench.open()
+def test_one_wrong_digit_counts_only_when_a_second_report_confirms_it(grbl_open, model):
+    bench, stage = grbl_open(model, GrblFaults(wrong_digit_every=11))
     for target in ((-0.048, 0.050, 0.0521), START):
         stage.move_to(target, 0.01)
         bench.arrive(stage)
@@ -69,20 +60,8 @@ def test_one_wrong_digit_counts_only_when_a_second_report_confirms_it(grbl_bench
     assert bench.firmware.wire.reports > 22
 
 
-def test_a_wrong_digit_in_every_report_is_a_lost_position(grbl_bench):
-    bench = grbl_bench()
-    stage = bench.open()
-    bench.spoil(GrblFaults(wrong_digit_every=1))
-    with pytest.raises(DeviceError):
-        stage.position_m()
-    bench.spoil(GrblFaults())
-    with pytest.raises(DeviceError):
-        stage.position_m()
-
-
-def test_it_goes_where_it_is_sent(grbl_bench, model):
-    bench = grbl_bench(model)
-    stage = bench.open()
+def test_it_goes_where_it_is_sent(grbl_open, model):
+    bench, stage = grbl_open(model)
     assert stage.position_m() == pytest.approx(START)
     for target in ((-0.048, 0.050, 0.0521), (-0.0512, 0.0487, 0.0506), START):
         stage.move_to(target, 0.01)
@@ -92,17 +71,8 @@ def test_it_goes_where_it_is_sent(grbl_bench, model):
         assert metres(bench.place_mm) == pytest.approx(target, abs=1e-7)  # what a line resolves
 
 
-def test_each_sensor_axis_drives_its_machine_axis(grbl_bench):
-    bench = grbl_bench(axes=("-Z", "+X", "-Y"))
-    stage = bench.open()
-    stage.move_to((0.051, -0.048, 0.053), 0.01)
-    bench.arrive(stage)
-    assert bench.place_mm == pytest.approx((-48.0, -53.0, -51.0))
-
-
-def test_a_stop_ends_within_the_overshoot_bound_at_a_known_place(grbl_bench, model):
-    bench = grbl_bench(model)
-    stage = bench.open()
+def test_a_stop_ends_within_the_overshoot_bound_at_a_known_place(grbl_open, model):
+    bench, stage = grbl_open(model)
     bench.move_to_speed(stage, (-0.030, 0.050, 0.060), 0.010)
     asked = bench.place_mm
     stage.stop()
@@ -118,55 +88,8 @@ def test_a_stop_ends_within_the_overshoot_bound_at_a_known_place(grbl_bench, mod
     assert metres(bench.place_mm) == pytest.approx(START, abs=1e-7)
 
 
-@pytest.mark.parametrize("key", ["Grbl", "Grbl, jogs held", "grblHAL"])
-def test_a_stop_cancels_a_jog_and_resets_nothing(grbl_bench, key):
-    bench = grbl_bench(MODELS[key])
-    stage = bench.open()
-    bench.move_to_speed(stage, (-0.030, 0.050, 0.050), 0.010)
-    stage.stop()
-    assert b"\x85" in bench.received
-    assert b"!" not in bench.received
-    assert b"\x18" not in bench.received
-    assert stage.position_m() == pytest.approx(metres(bench.place_mm), abs=1e-6)  # kept, and no alarm
-
-
-def test_a_hold_that_meets_a_stage_just_arrived_is_not_left_behind(grbl_bench):
-    bench = grbl_bench(GrblParameters(homed=True, latency_s=0.01))
-    stage = bench.open()
-    stage.move_to((-0.0495, 0.050, 0.050), 0.01)
-    bench.wait(lambda: bench.firmware.state == "Idle")
-    stage.stop()
-    bench.clock.sleep(1.0)
-    stage.move_to(START, 0.01)
-    bench.arrive(stage)
-    assert metres(bench.place_mm) == pytest.approx(START, abs=1e-7)
-
-
-def test_a_stop_where_it_stands_does_nothing(grbl_bench):
-    bench = grbl_bench()
-    stage = bench.open()
-    before = bench.received
-    stage.stop()
-    stage.stop()
-    assert bench.received == before
-    assert stage.position_m() == pytest.approx(START)
-
-
-def test_a_stop_from_another_thread_ends_a_move(grbl_bench):
-    bench = grbl_bench()
-    stage = bench.open()
-    bench.move_to_speed(stage, (-0.030, 0.050, 0.050), 0.010)
-    stopper = threading.Thread(target=stage.stop)
-    stopper.start()
-    bench.arrive(stage)
-    stopper.join()
-    assert bench.speed_mm_s == 0.0
-    assert math.dist(bench.place_mm, (-30.0, -50.0, -50.0)) > 1.0
-
-
-def test_stops_from_many_threads_are_one_stop(grbl_bench):
-    bench = grbl_bench(GrblParameters(homed=True, hold_cancels_jog=False))
-    stage = bench.open()
+def test_stops_from_many_threads_are_one_stop(grbl_open):
+    bench, stage = grbl_open(GrblParameters(homed=True, hold_cancels_jog=False))
     bench.move_to_speed(stage, (-0.030, 0.050, 0.050), 0.010)
     threads = [threading.Thread(target=stage.stop) for _ in range(4)]
     for thread in threads:
@@ -176,29 +99,8 @@ def test_stops_from_many_threads_are_one_stop(grbl_bench):
     assert stage.position_m() == pytest.approx(metres(bench.place_mm), abs=1e-6)
 
 
-def test_a_hold_that_meets_a_stage_just_reset_is_cleared_too(grbl_bench, monkeypatch):
-    bench = grbl_bench(GrblParameters(homed=True, hold_cancels_jog=False))
-    stage = bench.open()
-    bench.move_to_speed(stage, (-0.030, 0.050, 0.050), 0.010)
-    bench.say(b"!")
-    reset, held = stage._session.reset, []
-
-    def reset_and_hold(**words):  # as another thread's stop can
-        reset(**words)
-        if len(held) < 2:
-            held.append(True)
-            stage._link.slow_down(b"!")
-
-    monkeypatch.setattr(stage._session, "reset", reset_and_hold)
-    stage.stop()
-    assert len(held) == 2
-    assert stage.position_m() == pytest.approx(metres(bench.place_mm), abs=1e-6)
-    assert not stage.moving()
-
-
-def test_a_move_recalled_before_it_was_sent_is_not_sent(grbl_bench, monkeypatch):
-    bench = grbl_bench()
-    stage = bench.open()
+def test_a_move_recalled_before_it_was_sent_is_not_sent(grbl_open, monkeypatch):
+    bench, stage = grbl_open()
     before = bench.received
     with stage._lock:  # another thread asks for a move and has to wait, and is stopped meanwhile
         halts = stage._link.halts
@@ -224,20 +126,17 @@ def test_a_move_recalled_before_it_was_sent_is_not_sent(grbl_bench, monkeypatch)
     bench.arrive(stage)
 
 
-def test_one_move_at_a_time(grbl_bench):
-    bench = grbl_bench()
-    stage = bench.open()
+def test_one_move_at_a_time(grbl_open):
+    bench, stage = grbl_open()
     stage.move_to((-0.045, 0.050, 0.050), 0.010)
     with pytest.raises(DeviceError, match="moving already"):
         stage.move_to((-0.045, 0.050, 0.050), 0.010)
     assert bench.received.count(b"$J") == 1
 
 
-@pytest.mark.parametrize("axis", [0, 1, 2])
-@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 1.0, -1.0])
-def test_a_target_outside_the_travel_is_refused_before_anything_is_sent(grbl_bench, axis, bad):
-    bench = grbl_bench()
-    stage = bench.open()
+@pytest.mark.parametrize(("axis", "bad"), [(0, math.nan), (1, -math.inf), (2, 1.0), (2, -1.0)])
+def test_a_target_outside_the_travel_is_refused_before_anything_is_sent(grbl_open, axis, bad):
+    bench, stage = grbl_open()
     before = bench.received
     target = list(START)
     target[axis] = bad
@@ -246,28 +145,17 @@ def test_a_target_outside_the_travel_is_refused_before_anything_is_sent(grbl_ben
     assert bench.received == before
 
 
-@pytest.mark.parametrize("speed", [math.nan, math.inf, 0.0, -0.01, 1e-6, 0.021])
-def test_a_speed_that_it_cannot_run_at_is_refused_before_anything_is_sent(grbl_bench, speed):
-    bench = grbl_bench()
-    stage = bench.open()
+@pytest.mark.parametrize("speed", [math.nan, 0.0, 1e-6, 0.021])
+def test_a_speed_that_it_cannot_run_at_is_refused_before_anything_is_sent(grbl_open, speed):
+    bench, stage = grbl_open()
     before = bench.received
     with pytest.raises(RangeError, match="speed"):
         stage.move_to(START, speed)
     assert bench.received == before
 
 
-def test_the_host_keeps_its_own_limits(grbl_bench):
-    bench = grbl_bench(least_m=(-0.06, 0.04, 0.049), greatest_m=(-0.04, 0.06, 0.051), top_speed_m_s=0.002)
-    stage = bench.open()
-    with refused("outside-travel", RangeError, match=r"0\.051"):
-        stage.move_to((-0.050, 0.050, 0.0511), 0.001)
-    with pytest.raises(RangeError, match="speed"):
-        stage.move_to(START, 0.003)
-
-
-def test_what_the_controller_refuses_it_says_and_does_not_do(grbl_bench):
-    bench = grbl_bench(least_m=(0.0, 0.0, 0.0), greatest_m=(0.1, 0.1, 0.1))
-    stage = bench.open()
+def test_what_the_controller_refuses_it_says_and_does_not_do(grbl_open):
+    bench, stage = grbl_open(least_m=(0.0, 0.0, 0.0), greatest_m=(0.1, 0.1, 0.1))
     stage.reference((0.0, 0.05, 0.05))  # which puts half the limits' range beyond the machine's own
     with pytest.raises(DeviceError, match="error:15"):
         stage.move_to((0.08, 0.05, 0.05), 0.01)
@@ -293,9 +181,8 @@ def test_the_travel_is_the_firmware_s(grbl_bench):
     assert travel.acceleration_m_s2 == pytest.approx(0.02)
 
 
-def test_every_move_states_its_modes_in_fixed_point(grbl_bench):
-    bench = grbl_bench()
-    stage = bench.open()
+def test_every_move_states_its_modes_in_fixed_point(grbl_open):
+    bench, stage = grbl_open()
     for target in ((-0.0500001, 0.05, 0.05), (-1e-9, 0.05, 0.05), (-0.0123456, 1e-7, 0.05)):
         stage.move_to(target, 0.02)
         bench.arrive(stage)
@@ -314,7 +201,7 @@ def test_a_number_is_sent_in_fixed_point_and_rounded_by_no_more_than_half_its_la
     assert text != "-0.0000"
 
 
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e6, 1e300])
+@pytest.mark.parametrize("value", [math.nan, math.inf, 1e6])
 def test_what_is_no_length_is_never_sent(value):
     with pytest.raises(RangeError):
         fixed(value)
@@ -335,9 +222,8 @@ def test_the_mount_and_back_is_the_same_place(letters, signs, place_m, machine_m
 
 
 class TestHoming:
-    def test_the_position_is_unknown_until_it_is_found(self, grbl_bench):
-        bench = grbl_bench(GrblParameters(homing_s=0.0))
-        stage = bench.open(known=False)
+    def test_the_position_is_unknown_until_it_is_found(self, grbl_open):
+        bench, stage = grbl_open(GrblParameters(homing_s=0.0), known=False)
         with pytest.raises(PositionUnknownError):
             stage.position_m()
         with pytest.raises(PositionUnknownError):
@@ -361,17 +247,17 @@ class TestHoming:
         assert b"$H" not in bench.received
         assert b"$X" not in bench.received
 
-    def test_without_switches_it_fails_by_name(self, grbl_bench, fast_clock):
-        bench = grbl_bench(GrblParameters(switches=False), clock=fast_clock(100), still_s=1e3, stop_s=1e3)
-        stage = bench.open(known=False)
+    def test_without_switches_it_fails_by_name(self, grbl_open, fast_clock):
+        _bench, stage = grbl_open(
+            GrblParameters(switches=False), clock=fast_clock(100), still_s=1e3, stop_s=1e3, known=False
+        )
         with pytest.raises(DeviceError, match="ALARM:9"):
             stage.home()
         with pytest.raises(DeviceError, match="ALARM:9"):
             stage.position_m()
 
-    def test_homing_that_is_stopped_leaves_the_position_unknown(self, grbl_bench):
-        bench = grbl_bench(GrblParameters(homing_s=1e6))
-        stage = bench.open(known=False)
+    def test_homing_that_is_stopped_leaves_the_position_unknown(self, grbl_open):
+        bench, stage = grbl_open(GrblParameters(homing_s=1e6), known=False)
         failures = []
 
         def home():
@@ -400,29 +286,8 @@ class TestHoming:
         with pytest.raises(DeviceError, match=r"\$22=0"):
             stage.move_to((0.001, 0.0, 0.0), 0.01)
 
-    def test_an_unhomed_stage_moves_on_the_caller_s_word(self, grbl_bench):
-        bench = grbl_bench(
-            GrblParameters(settings={22: 0, 20: 0}),
-            require_homed=False,
-            least_m=(-0.01, -0.01, 0.0),
-            greatest_m=(0.01, 0.01, 0.02),
-        )
-        stage = bench.open(known=False)
-        stage.reference((0.002, -0.003, 0.0))
-        assert stage.position_m() == pytest.approx((0.002, -0.003, 0.0))
-        stage.move_to((0.004, -0.003, 0.001), 0.01)
-        bench.arrive(stage)
-        # x to the right by 2 mm and 1 mm into the skin, which is machine Z down.
-        assert bench.place_mm == pytest.approx((-48.0, -50.0, -51.0))
-
-    @pytest.mark.parametrize("bad", [(math.nan, 0.0, 0.0), (0.0, math.inf, 0.0)])
-    def test_no_place_is_taken_that_is_none(self, grbl_bench, bad):
-        with pytest.raises(RangeError):
-            grbl_bench().open().reference(bad)
-
-    def test_unlocked_is_not_homed(self, grbl_bench):
-        bench = grbl_bench(GrblParameters())
-        stage = bench.open(known=False)
+    def test_unlocked_is_not_homed(self, grbl_open):
+        _bench, stage = grbl_open(GrblParameters(), known=False)
         stage.unlock()
         with pytest.raises(DeviceError, match="unlocked"):
             stage.position_m()
@@ -432,12 +297,6 @@ class TestHoming:
 
 
 class TestPorts:
-    def test_a_port_has_one_master(self, grbl_bench):
-        bench = grbl_bench()
-        with bench.open(), pytest.raises(DeviceError, match="in use"):
-            GrblStage.open(bench.spec)
-        bench.open()  # and is free again
-
     def test_a_port_that_is_not_there_is_refused_with_those_that_are(self, monkeypatch):
         there = [SimpleNamespace(device="/dev/ttyACM7", serial_number="5583", hwid="USB")]
         monkeypatch.setattr(serial_port, "_ports", lambda: there)
@@ -459,38 +318,22 @@ class TestPorts:
         with pytest.raises(MissingExtraError, match=r"palpate\[rig\]"):
             GrblStage.open(GrblSpec("/dev/null"))
 
-    def test_closing_again_does_nothing(self, grbl_bench):
-        stage = grbl_bench().open()
-        stage.close()
-        stage.close()
-        with pytest.raises(DeviceError, match="closed"):
-            stage.position_m()
-
 
 @pytest.mark.parametrize(
     "words",
     [
-        {"axes": ("+X", "+X", "-Z")},
-        {"axes": ("X", "Y", "Z")},
-        {"least_m": (0.0, 0.0, 0.0)},
-        {"least_m": (0.0, 0.0, 0.0), "greatest_m": (1.0, 1.0, 0.0)},
-        {"least_m": (0.0, 0.0, 0.0), "greatest_m": (1.0, 1.0, math.nan)},
-        {"latency_s": -1.0},
-        {"reply_s": math.inf},
-        {"boot_s": math.nan},
-        {"top_speed_m_s": 0.0},
+        {"axes": ("+X", "+X", "-Z")}, {"least_m": (0.0, 0.0, 0.0)},
+        {"least_m": (0.0, 0.0, 0.0), "greatest_m": (1.0, 1.0, 0.0)}, {"latency_s": -1.0},
+        {"boot_s": math.nan}, {"top_speed_m_s": 0.0},
     ],
-)
+)  # fmt: skip
 def test_a_spec_that_makes_no_sense_is_refused(words):
     with pytest.raises(InputError):
         GrblSpec("/dev/ttyACM0", **words)
 
 
-def test_a_retreat_leads_away_from_the_skin_before_its_place_is_known_and_teaches_none(
-    grbl_bench, fast_clock
-) -> None:
-    bench = grbl_bench(clock=fast_clock())
-    stage = bench.open(known=False)
+def test_a_retreat_leads_away_from_the_skin_before_its_place_is_known_and_teaches_none(grbl_open, fast_clock):
+    bench, stage = grbl_open(clock=fast_clock(), known=False)
     start = bench.place_mm
     stage.retreat(0.5e-3, 5e-3)
     bench.arrive(stage)

@@ -27,12 +27,6 @@ def spring(stiffness_n_m: float) -> tuple[np.ndarray, np.ndarray]:
     return np.array([0.0, 1.0]), np.array([0.0, stiffness_n_m])
 
 
-def press(rig: LinearRig) -> np.ndarray:
-    """A press at 5 mm/s, places asked for at 200 Hz, from 1 mm above the load."""
-    asked = np.repeat(-1e-3 + 5e-3 * np.arange(0, 1.4, 5e-3), 5)
-    return LinearDrive(rig, -1e-3).follow(asked, DEPTH, FORCE)
-
-
 def test_gains_friction_and_inertia_are_those_of_the_parts_through_the_gears() -> None:
     rig = LinearRig(encoder_bits=12, gain_p=0.04, stall_n_m=1e-3, gear=35.0, efficiency=0.5, lead_m=0.02)
     # 1 mN m of 35 gears at half is 17.5 mN m over 20 mm a revolution
@@ -46,16 +40,6 @@ def test_gains_friction_and_inertia_are_those_of_the_parts_through_the_gears() -
     # the rotor's energy at 1 m/s
     spin = 35.0 / rig.radius_m
     assert_allclose((rig.mass_kg - rig.moving_kg) / 2, rig.rotor_kg_m2 * spin**2 / 2)
-
-
-def test_the_encoders_quantum_is_the_lead_over_4096() -> None:
-    assert_allclose(LINEAR_RIG.quantum_m, LINEAR_RIG.lead_m / 4096)
-    places = np.linspace(-1e-3, 1e-3, 4001)
-    read = LINEAR_RIG.read_m(places)
-    assert_allclose(read / LINEAR_RIG.quantum_m, np.rint(read / LINEAR_RIG.quantum_m), atol=1e-9)
-    assert np.abs(read - places).max() <= LINEAR_RIG.quantum_m / 2 * (1 + 1e-9)
-    assert_allclose(np.unique(np.diff(np.unique(read))), LINEAR_RIG.quantum_m)
-    assert_array_equal(SMOOTH.read_m(places), places)
 
 
 def test_without_load_and_friction_it_comes_to_the_command() -> None:
@@ -126,16 +110,6 @@ def test_slow_ramps_stick_and_slip_and_the_reports_speed_does_not() -> None:
     assert stuck(SMOOTH, 5e-3) == 0
     assert stuck(replace(SMOOTH, breakaway_n=SMOOTH.coulomb_n), 0.5e-3) == 0  # friction does not fall
     assert stuck(LINEAR_RIG, 0.2e-3) > 0.2
-
-
-def test_half_the_step_changes_the_course_by_a_tenth_of_a_quantum_and_half_as_much_again() -> None:
-    courses = {steps: press(replace(SMOOTH, steps=steps)) for steps in (20, 40, 80)}
-    first, second = (np.abs(courses[n] - courses[2 * n]).max() for n in (20, 40))
-    assert first < 0.05e-6
-    assert_allclose(first / second, 2, rtol=0.05)  # first order
-    # steps of the encoder fall otherwise, which moves the course by much less than one
-    coarse, fine = press(LINEAR_RIG), press(replace(LINEAR_RIG, steps=40))
-    assert np.abs(coarse - fine).max() < 1e-6 < LINEAR_RIG.quantum_m / 5
 
 
 def integrated(rig: LinearRig, asked: np.ndarray, start: tuple[float, float]) -> np.ndarray:

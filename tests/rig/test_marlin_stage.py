@@ -1,18 +1,15 @@
 """The driver on a fake of Marlin, over a real pseudo-terminal: where it goes, how it stops, what it bears."""
 
-from __future__ import annotations
-
 import math
 import sys
 import threading
-import time
 from contextlib import ExitStack
 
 import pytest
 from hypothesis import given, strategies as st
 from tests.fakes.marlin_firmware import MarlinFaults, MarlinFirmware, MarlinParameters
 from tests.refusals import refused
-from tests.rig.conftest import PATIENCE_S, FastClock
+from tests.rig.conftest import FastClock, GrblBench
 from tests.rig.serial_terminal import FakeTerminal
 
 from palpate.core import (
@@ -26,7 +23,7 @@ from palpate.core import (
 )
 from palpate.devices.check import check_stage
 from palpate.rig.real.marlin import MarlinSpec, MarlinStage
-from palpate.rig.real.marlin.marlin_lines import MarlinMachine, StepReport, numbered, read_line
+from palpate.rig.real.marlin.marlin_lines import MarlinMachine, numbered, read_line
 from palpate.rig.rig_file import RigFile
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="a pseudo-terminal needs POSIX")
@@ -38,7 +35,9 @@ STEP_MM = 1 / 80  # of its coarsest axis
 TICK_MM = 0.01  # a tick of the fake at that speed, and more
 
 
-class MarlinBench:
+class MarlinBench(GrblBench):
+    """The fake of Marlin, its terminal and the driver's spec."""
+
     def __init__(self, stack: ExitStack, model, faults, clock, **spec) -> None:
         self.clock, self._stack = clock, stack
         self.firmware = MarlinFirmware(model, faults, clock.now_ns() / 1e9)
@@ -52,38 +51,15 @@ class MarlinBench:
             stage.reference(START)
         return stage
 
-    def spoil(self, faults: MarlinFaults) -> None:
-        with self.terminal.lock:
-            self.firmware.faults = faults
-
     @property
     def gone_mm(self):
         """The true place, from where it was switched on."""
-        with self.terminal.lock:
-            self.terminal.catch_up()
-            place = zip(self.firmware.place_mm, self.firmware.model.start_mm, strict=True)
-            return tuple(at - start for at, start in place)
+        return tuple(
+            at - start for at, start in zip(self.place_mm, self.firmware.model.start_mm, strict=True)
+        )
 
-    @property
-    def speed_mm_s(self) -> float:
-        with self.terminal.lock:
-            self.terminal.catch_up()
-            return self.firmware.speed_mm_s
-
-    def wait(self, condition, step_s: float = 0.02) -> None:
-        end = time.monotonic() + PATIENCE_S
-        while not condition():
-            assert time.monotonic() < end, "what was waited for never came"
-            self.clock.sleep(step_s)
-            self.terminal.catch_up()
-            time.sleep(0)
-
-    def arrive(self, stage) -> None:
-        self.wait(lambda: not stage.moving())
-
-    def to_speed(self, stage, target, speed=SPEED) -> None:
-        stage.move_to(target, speed)
-        self.wait(lambda: self.speed_mm_s >= speed * 999)
+    def move_to_speed(self, stage, target, speed=SPEED) -> None:
+        super().move_to_speed(stage, target, speed)
 
     def fails(self, call) -> str:
         """What a call says when it comes to fail."""
@@ -113,6 +89,15 @@ def bench():
         yield make
 
 
+@pytest.fixture
+def opened(bench):
+    def make(*args, known: bool = True, **spec):
+        one = bench(*args, **spec)
+        return one, one.open(known=known)
+
+    return make
+
+
 def mm(sensor_m):
     return sensor_m[0] * 1e3, -sensor_m[1] * 1e3, -sensor_m[2] * 1e3
 
@@ -122,7 +107,7 @@ def test_a_speed_factor_that_another_program_left_is_taken_back(bench) -> None:
     with one.terminal.lock:
         one.firmware._modes.percent = 300.0
     stage = one.open()
-    one.to_speed(stage, (5e-3, 0.0, 0.0))
+    one.move_to_speed(stage, (5e-3, 0.0, 0.0))
     assert one.speed_mm_s <= SPEED * 1e3 * 1.001
 
 
@@ -161,9 +146,8 @@ def test_settings_of_either_age_are_read(endstops) -> None:
     assert not MarlinMachine.read(settings, endstops, ["Cap:EMERGENCY_PARSER:0"]).emergency_parser
 
 
-def test_it_goes_where_it_is_sent(bench) -> None:
-    one = bench()
-    stage = one.open()
+def test_it_goes_where_it_is_sent(opened) -> None:
+    one, stage = opened()
     assert isinstance(stage, Stage)
     assert stage.position_m() == pytest.approx(START)
     for target in ((0.002, -0.001, 0.0021), (-0.0012, 0.0013, -0.0006), START):
@@ -175,11 +159,12 @@ def test_it_goes_where_it_is_sent(bench) -> None:
 
 
 @pytest.mark.parametrize("parser", [True, False])
-def test_a_stop_ends_within_the_overshoot_bound_at_a_known_place(bench, parser) -> None:
-    one = bench(MarlinParameters(emergency_parser=parser))
-    stage = one.open()
+def test_a_stop_ends_within_the_overshoot_bound_at_a_known_place(opened, parser) -> None:
+    one, stage = opened(MarlinParameters(emergency_parser=parser))
     assert stage.emergency_parser is parser
-    one.to_speed(stage, (0.02, 0.0, 0.01))
+    stage.stop()
+    assert b"M410" not in bytes(one.firmware.received), "a stop at a stand sends nothing"
+    one.move_to_speed(stage, (0.02, 0.0, 0.01))
     asked = one.gone_mm
     stage.stop()
     stopped = one.gone_mm
@@ -194,13 +179,6 @@ def test_a_stop_ends_within_the_overshoot_bound_at_a_known_place(bench, parser) 
     assert one.gone_mm == pytest.approx((0, 0, 0), abs=2 * STEP_MM)
 
 
-def test_without_an_emergency_parser_the_stated_latency_is_longer(bench) -> None:
-    quick, slow = (bench(MarlinParameters(emergency_parser=p)).open().travel for p in (True, False))
-    assert quick.latency_s == pytest.approx(0.05)
-    assert slow.latency_s == pytest.approx(0.55)
-    assert slow.overshoot_m(1e-3) > 5 * quick.overshoot_m(1e-3)
-
-
 def test_no_speed_is_allowed_from_which_a_stop_would_lose_steps(bench) -> None:
     stage = bench().open()
     assert stage.travel.top_speed_m_s == pytest.approx(0.004)  # the least jerk, not M203's 5 mm/s
@@ -209,36 +187,18 @@ def test_no_speed_is_allowed_from_which_a_stop_would_lose_steps(bench) -> None:
     assert bench(sudden_m_s=0.002).open().travel.top_speed_m_s == pytest.approx(0.002)
 
 
-def test_a_false_word_on_how_fast_it_may_stop_dead_loses_the_place_unseen(bench) -> None:
+def test_a_false_word_on_how_fast_it_may_stop_dead_loses_the_place_unseen(opened) -> None:
     """Negative control: the count cannot tell, so the word must be tried."""
-    one = bench(MarlinParameters(top_mm_s=(300.0, 300.0, 300.0)), sudden_m_s=0.02)
-    stage = one.open()
-    one.to_speed(stage, (0.03, 0.0, 0.0), 0.02)
+    one, stage = opened(MarlinParameters(top_mm_s=(300.0, 300.0, 300.0)), sudden_m_s=0.02)
+    one.move_to_speed(stage, (0.03, 0.0, 0.0), 0.02)
     stage.stop()
     assert abs(one.gone_mm[0] - stage.position_m()[0] * 1e3) > 1.0
 
 
-def test_a_stop_from_another_thread_ends_a_move(bench) -> None:
-    one = bench()
-    stage = one.open()
-    one.to_speed(stage, (0.03, 0.0, 0.0))
-    stopper = threading.Thread(target=stage.stop)
-    stopper.start()
-    one.wait(lambda: not stopper.is_alive())
-    assert one.speed_mm_s == 0.0
-    assert one.gone_mm[0] < 29.0
-
-
-def test_a_stop_at_a_stand_sends_nothing(bench) -> None:
-    one = bench()
-    stage = one.open()
-    stage.stop()
-    assert b"M410" not in bytes(one.firmware.received)
-
-
-def test_homing_takes_as_long_as_it_says_that_it_is_busy(bench) -> None:
-    one = bench(MarlinParameters(homing_s=30.0), clock=FastClock(20.0), least_m=None, greatest_m=None)
-    stage = one.open(known=False)
+def test_homing_takes_as_long_as_it_says_that_it_is_busy(opened) -> None:
+    _one, stage = opened(
+        MarlinParameters(homing_s=30.0), clock=FastClock(20.0), least_m=None, greatest_m=None, known=False
+    )
     with pytest.raises(DeviceError, match="not known"):
         stage.position_m()
     stage.home()
@@ -267,9 +227,8 @@ def test_a_machine_that_wants_homing_first_is_told(bench) -> None:
         stage.move_to((0.001, 0, 0), SPEED)
 
 
-def test_a_build_that_tells_its_place_only_at_the_end_is_refused(bench) -> None:
-    one = bench(MarlinParameters(legacy_m114=True), clock=FastClock(5.0), reply_s=10.0)
-    stage = one.open()
+def test_a_build_that_tells_its_place_only_at_the_end_is_refused(opened) -> None:
+    one, stage = opened(MarlinParameters(legacy_m114=True), clock=FastClock(5.0), reply_s=10.0)
     for target in (0.002, 0.0):
         stage.move_to((target, 0.0, 0.0), SPEED)
         one.arrive(stage)
@@ -281,27 +240,18 @@ def test_a_build_that_tells_its_place_only_at_the_end_is_refused(bench) -> None:
 @pytest.mark.parametrize(
     "faults",
     [
-        MarlinFaults(lose_every=7),
-        MarlinFaults(damage_every=5),
-        MarlinFaults(garble_every=6),
-        MarlinFaults(lose_ok_of="G1"),
-        MarlinFaults(lose_ok_of="M114"),
-        MarlinFaults(noise=b"\xff\x00\n"),
-    ],
-    ids=[
-        "lines lost",
-        "lines damaged",
-        "answers garbled",
-        "ok of a move lost",
-        "ok of a place lost",
-        "noise",
+        {"lose_every": 7},
+        {"damage_every": 5},
+        {"garble_every": 6},
+        {"lose_ok_of": "G1"},
+        {"lose_ok_of": "M114"},
+        {"noise": b"\xff\x00\n"},
     ],
 )
 @pytest.mark.cases(2)
-def test_lost_and_damaged_lines_cost_time_and_no_move_and_no_place(bench, faults) -> None:
-    one = bench(reply_s=0.15)
-    stage = one.open()
-    one.spoil(faults)
+def test_lost_and_damaged_lines_cost_time_and_no_move_and_no_place(opened, faults) -> None:
+    one, stage = opened(reply_s=0.15)
+    one.spoil(MarlinFaults(**faults))
     for target in ((0.0005, 0.0, 0.0), (0.0005, 0.0002, 0.0), START):
         stage.move_to(target, SPEED)
         one.arrive(stage)
@@ -310,9 +260,8 @@ def test_lost_and_damaged_lines_cost_time_and_no_move_and_no_place(bench, faults
 
 
 @pytest.mark.parametrize("quiet", [False, True])
-def test_a_restart_in_motion_is_told_and_nothing_old_is_sent_again(bench, quiet) -> None:
-    one = bench(faults=MarlinFaults(restart_after_mm=1.0, quiet_start=quiet), reply_s=1.0)
-    stage = one.open()
+def test_a_restart_in_motion_is_told_and_nothing_old_is_sent_again(opened, quiet) -> None:
+    one, stage = opened(faults=MarlinFaults(restart_after_mm=1.0, quiet_start=quiet), reply_s=1.0)
     stage.move_to((0.01, 0.0, 0.0), SPEED)
     said = one.fails(stage.moving)
     assert "restarted" in said
@@ -328,44 +277,38 @@ def test_a_restart_in_motion_is_told_and_nothing_old_is_sent_again(bench, quiet)
     assert one.gone_mm[0] - where[0] == pytest.approx(1.0, abs=2 * STEP_MM)
 
 
-def test_a_port_that_goes_is_told_and_the_stage_goes_on_by_one_move_at_most(bench) -> None:
-    one = bench()
-    stage = one.open()
-    one.to_speed(stage, (0.005, 0.0, 0.0))
-    one.terminal.unplug()
-    assert "may still" in one.fails(stage.moving)
-    one.clock.sleep(10.0)
-    assert one.gone_mm[0] == pytest.approx(5.0, abs=STEP_MM)
-
-
-def test_a_stage_that_stands_short_of_its_target_is_told(bench) -> None:
-    one = bench(faults=MarlinFaults(stuck_after_mm=1.0), still_s=1.0)
-    stage = one.open()
+@pytest.mark.parametrize(
+    ("faults", "said"),
+    [
+        ({"stuck_after_mm": 1.0}, "has stopped"),
+        ({"jump_after_mm": 1.0, "jump_mm": (0.0, 0.5, 0.0)}, "off its"),
+        (None, "may still"),  # its port goes
+    ],
+)
+def test_a_stage_that_stands_short_jumps_or_is_gone_is_told(opened, faults, said: str) -> None:
+    one, stage = opened(faults=MarlinFaults(**faults or {}), still_s=1.0)
     stage.move_to((0.005, 0.0, 0.0), SPEED)
-    assert "has stopped" in one.fails(stage.moving)
+    if faults is None:
+        one.terminal.unplug()
+    assert said in one.fails(stage.moving)
+    if said == "off its":
+        with refused("position-lost", DeviceError):
+            stage.position_m()
+    if said == "may still":
+        one.clock.sleep(10.0)
+        assert one.gone_mm[0] == pytest.approx(5.0, abs=STEP_MM)
 
 
-def test_a_count_that_jumps_is_told_and_the_place_lost(bench) -> None:
-    one = bench(faults=MarlinFaults(jump_after_mm=1.0, jump_mm=(0.0, 0.5, 0.0)))
-    stage = one.open()
-    stage.move_to((0.005, 0.0, 0.0), SPEED)
-    assert "off its" in one.fails(stage.moving)
-    with refused("position-lost", DeviceError):
-        stage.position_m()
-
-
-def test_a_controller_that_says_nothing_is_told(bench) -> None:
-    one = bench(reply_s=0.1)
-    stage = one.open()
+def test_a_controller_that_says_nothing_is_told(opened) -> None:
+    one, stage = opened(reply_s=0.1)
     one.spoil(MarlinFaults(mute=True))
     with refused("silence", DeviceError):
         stage.position_m()
 
 
-def test_a_stop_that_is_not_heeded_is_no_stop(bench) -> None:
-    one = bench(faults=MarlinFaults(ignores_stop=True), stop_s=1.0)
-    stage = one.open()
-    one.to_speed(stage, (0.04, 0.0, 0.0))
+def test_a_stop_that_is_not_heeded_is_no_stop(opened) -> None:
+    one, stage = opened(faults=MarlinFaults(ignores_stop=True), stop_s=1.0)
+    one.move_to_speed(stage, (0.04, 0.0, 0.0))
     done: list[BaseException] = []
 
     def stop() -> None:
@@ -382,31 +325,17 @@ def test_a_stop_that_is_not_heeded_is_no_stop(bench) -> None:
     assert one.gone_mm[0] < 39.0
 
 
-def test_a_stage_that_runs_to_its_target_after_the_stop_is_no_stop(bench) -> None:
-    one = bench(faults=MarlinFaults(ignores_stop=True), clock=FastClock(5.0), stop_s=100.0)
-    stage = one.open()
-    one.to_speed(stage, (0.01, 0.0, 0.0))
-    with pytest.raises(DeviceError, match="ran on"):
-        stage.stop()
-
-
 def test_what_is_no_marlin_is_refused(bench) -> None:
     with refused("not-marlin", DeviceError):
         bench(faults=MarlinFaults(mute=True), reply_s=0.05).open()
 
 
-def test_a_place_is_read_only_whole() -> None:
-    whole = b"X:1.00 Y:2.00 Z:3.00 E:0.00 Count X:80 Y:160 Z:1200"
-    assert read_line(whole) == StepReport((1.0, 2.0, 3.0), (80, 160, 1200), 0.0)
-    for cut in range(1, whole.index(b"Z:1200") + 2):
-        assert not isinstance(read_line(whole[:cut]), StepReport)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(("parser", "speed_m_s"), [(True, 3.5e-3), (False, 1.5e-3)])
-def test_the_marlin_driver_keeps_every_law_of_a_stage(bench, parser, speed_m_s) -> None:
-    one = bench(MarlinParameters(emergency_parser=parser), clock=MonotonicClock(), still_s=5.0, stop_s=5.0)
-    stage = one.open()
+def test_the_marlin_driver_keeps_every_law_of_a_stage(opened, parser, speed_m_s) -> None:
+    one, stage = opened(
+        MarlinParameters(emergency_parser=parser), clock=MonotonicClock(), still_s=5.0, stop_s=5.0
+    )
     half = 5e-3
     box = ((-half, -half, -half), (half, half, half))
     found = check_stage(stage, clock=one.clock, region_m=box, speed_m_s=speed_m_s)
@@ -417,7 +346,7 @@ def test_a_rig_s_file_opens_it_at_its_reference_only_on_confirmation(bench) -> N
     one = bench(clock=MonotonicClock())
     fields = {"kind": "marlin", "port": one.terminal.path, "reference": [1.0, 2.0, -3.0]}
     limits = {"least_mm": [-5, -5, -5], "greatest_mm": [5, 5, 5], "sudden_mm_s": 2.5}
-    limits["steps_per_mm"] = [80, 80, 400]
+    limits |= {"steps_per_mm": [80, 80, 400], "boot_s": 0.02}
     part = RigFile.model_validate({"name": "bench", "stage": fields | limits}).stage
     with part.open(one.clock) as stage, pytest.raises(PositionUnknownError):
         stage.position_m()
@@ -432,9 +361,8 @@ def test_a_rig_s_file_opens_it_at_its_reference_only_on_confirmation(bench) -> N
         RigFile.model_validate({"name": "bench", "stage": fields | limits | {"home": True}})
 
 
-def test_a_stage_that_knows_no_place_still_lifts_away_from_the_skin(bench) -> None:
-    one = bench()
-    stage = one.open(known=False)
+def test_a_stage_that_knows_no_place_still_lifts_away_from_the_skin(opened) -> None:
+    one, stage = opened(known=False)
     stage.retreat(2e-3, SPEED)
     one.arrive(stage)
     assert one.gone_mm == pytest.approx((0.0, 0.0, 2.0), abs=STEP_MM)  # its -Z leads into the skin

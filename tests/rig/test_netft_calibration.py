@@ -1,7 +1,5 @@
 """Reading a Net F/T box's page, which is anybody's text."""
 
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -22,10 +20,7 @@ def page(**fields: str) -> bytes:
 def test_a_page_says_counts_units_range_rate_and_what_the_box_subtracts() -> None:
     found = calibration(
         page(
-            cfgcalsn="FT12345",
-            cfgmr="330;330;990;30;30;30",
-            comrdtrate="7000",
-            setbias="745;17;0;184;-596;0",
+            cfgcalsn="FT12345", cfgmr="330;330;990;30;30;30", comrdtrate="7000", setbias="745;17;0;184;-596;0"
         )
     )
     assert (found.product, found.serial) == ("Net F/T", "FT12345")
@@ -41,14 +36,10 @@ def test_a_page_says_counts_units_range_rate_and_what_the_box_subtracts() -> Non
 @pytest.mark.parametrize(
     ("unit", "newtons"),
     [
-        ("lbf", 4.4482216152605),
-        ("N", 1.0),
-        ("klbf", 4448.2216152605),
-        ("kN", 1000.0),
-        ("kgf", 9.80665),
+        ("lbf", 4.4482216152605), ("N", 1.0), ("klbf", 4448.2216152605), ("kN", 1000.0), ("kgf", 9.80665),
         ("gf", 9.80665e-3),
     ],
-)
+)  # fmt: skip
 def test_every_force_unit_becomes_newtons(unit: str, newtons: float) -> None:
     found = calibration(page(cfgcpf="4000", scfgfu=unit, cfgmr="2;2;4;1;1;1"))
     assert found.force_n((4000, 8000, -4000, 0, 0, 0)) == pytest.approx((newtons, 2 * newtons, -newtons))
@@ -58,18 +49,11 @@ def test_every_force_unit_becomes_newtons(unit: str, newtons: float) -> None:
 @pytest.mark.parametrize(
     ("unit", "newton_metres"),
     [
-        ("lbf-in", 0.1129848290276167),
-        ("lbf-ft", 1.3558179483314004),
-        ("N-m", 1.0),
-        ("Nm", 1.0),
-        ("N-mm", 1e-3),
-        ("Nmm", 1e-3),
-        ("kgf-cm", 0.0980665),
-        ("kg-cm", 0.0980665),
-        ("kN-m", 1000.0),
+        ("lbf-in", 0.1129848290276167), ("lbf-ft", 1.3558179483314004), ("N-m", 1.0), ("Nm", 1.0),
+        ("N-mm", 1e-3), ("Nmm", 1e-3), ("kgf-cm", 0.0980665), ("kg-cm", 0.0980665), ("kN-m", 1000.0),
         ("kNm", 1000.0),
     ],
-)
+)  # fmt: skip
 def test_every_torque_unit_in_either_spelling_becomes_newton_metres(unit: str, newton_metres: float) -> None:
     found = calibration(page(cfgcpt="999.999", scfgtu=unit))
     assert found.torque_nm((0, 0, 0, 999999, 0, 0))[0] == pytest.approx(1000 * newton_metres)
@@ -135,7 +119,7 @@ def test_a_unit_that_is_not_known_is_refused_with_those_that_are(name: str, unit
     ],
 )
 def test_document_types_and_entities_are_refused(doctype: bytes) -> None:
-    with pytest.raises(ProtocolError, match="document type"):
+    with refused("xml-entity", ProtocolError):
         calibration(page().replace(b"<netft>", doctype + b"<netft>"))
 
 
@@ -163,9 +147,7 @@ def test_any_bytes_are_a_page_or_a_protocol_error(junk: bytes) -> None:
 
 
 @given(st.data())
-def test_a_page_with_changed_bytes_gives_finite_positive_numbers_or_a_protocol_error(
-    data: st.DataObject,
-) -> None:
+def test_a_page_with_changed_bytes_gives_finite_positive_numbers_or_a_protocol_error(data):
     raw = bytearray(page(cfgmr="330;330;990;30;30;30", comrdtrate="500"))
     for _ in range(data.draw(st.integers(1, 3))):
         raw[data.draw(st.integers(0, len(raw) - 1))] = data.draw(st.integers(0, 255))

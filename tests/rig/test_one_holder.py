@@ -1,24 +1,31 @@
 """One process at a time has a device, by whatever name: a second one is told the holder."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
 import sys
+import time
+from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
 import pytest
+from tests.fakes.grbl_firmware import GrblFirmware
+from tests.fakes.grbl_parameters import GrblFaults, GrblParameters
+from tests.fakes.marlin_firmware import MarlinFaults, MarlinFirmware, MarlinParameters
+from tests.fakes.printing_scale import PrintingScale, ScaleFaults
 from tests.refusals import refused
 from tests.rig.lab_files import EchoModem, environment, lab_file, palpate, served
+from tests.rig.serial_terminal import SerialDevice
+from tests.slow_params import mostly_slow
 
-from palpate.core import DeviceError
+from palpate.core import NS_PER_S, DeviceError, MonotonicClock
 from palpate.rig.commissioning import bench
 from palpate.rig.real import device_hold, serial_port
 from palpate.rig.real.device_hold import box_named, camera_named, hold_device, port_named
+from palpate.rig.real.heard_lines import describe_heard
 from palpate.rig.real.netft.netft_sensor import NetFT, NetFTSettings
-from palpate.rig.real.serial_port import open_port
+from palpate.rig.real.serial_port import SerialPort, open_port
 from palpate.rig.rig_file import open_rig
 
 pytest.importorskip("serial", reason="a stage's port needs pyserial")
@@ -43,21 +50,6 @@ def test_a_device_that_is_held_is_refused_with_the_holders_pid_and_free_once_tha
         hold_device(device).release()
 
 
-def test_a_hold_that_was_released_is_free_and_one_process_holds_a_device_once() -> None:
-    device = f"box of {os.getpid()}"
-    held = hold_device(device)
-    with refused("device-held", DeviceError):
-        hold_device(device)
-    held.release()
-    held.release()
-    hold_device(device).release()
-
-
-def test_a_disk_that_takes_no_lock_keeps_nobody_from_a_stage(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    hold_device("port", tmp_path / "file").release()
-
-
 def test_names_of_one_device_are_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     link = tmp_path / "by-id"
     link.symlink_to("/dev/null")
@@ -67,9 +59,7 @@ def test_names_of_one_device_are_one(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert camera_named(0) == camera_named("/dev/video0") != camera_named(1)
 
 
-def test_a_port_by_its_path_a_link_and_its_adapters_serial_number_is_one_port(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_port_by_its_path_a_link_and_its_adapters_serial_number_is_one_port(tmp_path, monkeypatch):
     class Listed:
         serial_number = "A50285BI"
 
@@ -108,9 +98,7 @@ def test_a_box_serves_one_client_and_a_second_one_leaves_its_stream_alone(tmp_pa
         ("rig", "jog", "--axis", "x", "--mm", "1"),
     ],
 )  # fmt: skip
-def test_a_second_programme_on_a_rig_in_use_is_refused_with_the_pid_and_moves_nothing(
-    tmp_path: Path, words: tuple[str, ...]
-) -> None:
+def test_a_second_programme_on_a_rig_in_use_is_refused_with_the_pid_and_moves_nothing(tmp_path, words):
     with lab_file(tmp_path) as lab:
         file = lab.write()
         with closing(open_rig(file)) as rig:
@@ -130,13 +118,6 @@ def test_a_rig_file_that_names_one_port_twice_is_refused(tmp_path: Path) -> None
         assert not lab.jogged
 
 
-@pytest.mark.slow
-def test_a_port_that_is_given_back_can_be_opened_again_at_once(tmp_path: Path) -> None:
-    with lab_file(tmp_path) as lab:
-        for _ in range(3):
-            open_rig(lab.write()).close()
-
-
 HOLDER = """
 import signal, sys, time
 from palpate.rig.real.device_hold import hold_device, port_named
@@ -150,8 +131,8 @@ time.sleep(60)
 
 @pytest.mark.parametrize("manner", ["hears", "deaf"])
 def test_a_stop_ends_whoever_has_the_port_then_stops_the_stage_or_says_that_it_could_not(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, manner: str
-) -> None:
+    tmp_path, monkeypatch, manner
+):
     monkeypatch.setattr(bench, "LET_GO_S", 1.0 if manner == "deaf" else 20.0)
     with lab_file(tmp_path) as lab, subprocess.Popen(
         [sys.executable, "-c", HOLDER, lab.terminal.path, manner],
@@ -169,3 +150,134 @@ def test_a_stop_ends_whoever_has_the_port_then_stops_the_stage_or_says_that_it_c
                 assert other.poll() is None
         finally:
             other.kill()
+
+
+# Writes to a serial port: late only if the port takes nothing, never by a stall of the host.
+
+
+@pytest.fixture
+def terminal() -> Iterator[tuple[int, SerialPort]]:
+    pytest.importorskip("serial", reason="serial ports need pyserial")
+    controller, device = os.openpty()
+    port = open_port(os.ttyname(device), 115200)
+    yield controller, port
+    port.close()
+    os.close(controller)
+    os.close(device)
+
+
+def test_a_stall_of_the_host_within_a_write_is_no_failure(terminal, monkeypatch: pytest.MonkeyPatch) -> None:
+    controller, port = terminal
+    write = os.write
+
+    def stalled(handle: int, data: bytes) -> int:
+        taken = write(handle, data)
+        time.sleep(0.3)
+        return taken
+
+    monkeypatch.setattr(serial_port, "WRITE_S", 0.1)
+    monkeypatch.setattr(os, "write", stalled)
+    port._port.write_timeout = 0.1
+    with pytest.raises(Exception, match="Write timeout"):  # the control: pyserial alone
+        port._port.write(b"?")
+    assert port.write(b"\x85") == 1
+    assert os.read(controller, 10) == b"?\x85"
+
+
+def test_a_port_that_takes_nothing_is_late(terminal, monkeypatch: pytest.MonkeyPatch) -> None:
+    _, port = terminal
+    monkeypatch.setattr(serial_port, "WRITE_S", 0.1)
+    with pytest.raises(TimeoutError):
+        port.write(bytes(1_000_000))
+
+
+# A port that is another device: refused before anything moves, with what it said and who speaks so.
+
+pytest.importorskip("serial", reason="a stage's port needs pyserial")
+GRBL = {
+    "kind": "grbl", "boot_s": 0.05, "reply_s": 0.4, "steps_per_mm": [250, 250, 250], "direction_mask": 0,
+}  # fmt: skip
+MARLIN = {
+    "kind": "marlin", "boot_s": 0.05, "reply_s": 0.4, "reference": [0, 0, 0],
+    "steps_per_mm": [80, 80, 400],
+    "least_mm": [-50, -50, -50], "greatest_mm": [50, 50, 50],
+}  # fmt: skip
+SCALE = {"kind": "serial-scale", "unit": "g"}
+
+
+def device(what: str) -> SerialDevice:
+    now_s = MonotonicClock().now_ns() / NS_PER_S
+    match what:
+        case "grbl":
+            return GrblFirmware(GrblParameters(homed=True), GrblFaults(), now_s)
+        case "marlin":
+            return MarlinFirmware(MarlinParameters(), MarlinFaults(), now_s)
+        case "scale":
+            return PrintingScale(rate_hz=20.0, now_s=now_s)
+        case "noise":
+            return PrintingScale(rate_hz=20.0, faults=ScaleFaults(nonsense=True), now_s=now_s)
+        case "silent":
+            return PrintingScale(faults=ScaleFaults(mute=True), now_s=now_s)
+    return EchoModem()
+
+
+@pytest.mark.parametrize(
+    ("what", "part", "said"),
+    mostly_slow(
+        [
+            ("marlin", GRBL, "Marlin"), ("scale", GRBL, "scale"), ("modem", GRBL, "modem"),
+            ("noise", GRBL, "baud"), ("silent", GRBL, "nothing"), ("grbl", MARLIN, "GRBL"),
+            ("scale", MARLIN, "scale"), ("modem", MARLIN, "modem"), ("silent", MARLIN, "nothing"),
+        ],
+        lambda i: i == 0,
+    ),
+)  # fmt: skip
+def test_a_stages_port_that_is_another_device_is_refused_with_what_it_said(tmp_path, what, part, said):
+    with lab_file(tmp_path) as lab, served(device(what)) as port:
+        lab.fields["stage"] = {**part, "port": port}
+        with refused(f"not-{part['kind']}", DeviceError, match=said) as told:
+            open_rig(lab.write(), supervised=False)
+        assert port in str(told.value)
+        lab.fields["stage"] = {**GRBL, "port": lab.terminal.path, "reference": "counts"}
+        open_rig(
+            lab.write(), supervised=False, position="reference"
+        ).close()  # the control: the right one is taken, also after what failed
+
+
+@pytest.mark.parametrize(
+    ("what", "ask", "said"),
+    [
+        ("grbl", "SI", "GRBL"),
+        ("marlin", "SI", "Marlin"),
+        pytest.param("modem", "SI", "modem", marks=pytest.mark.slow),
+        pytest.param("grbl", "", "said", marks=pytest.mark.slow),
+        ("noise", "", "baud"),
+    ],
+)
+def test_a_scales_port_that_is_another_device_is_refused_with_what_it_said(tmp_path, what, ask, said):
+    with lab_file(tmp_path) as lab, served(device(what)) as port:
+        file = lab.write(label_force={**SCALE, "port": port, "ask": ask})
+        with refused("no-samples", DeviceError, match=said) as told:
+            open_rig(file, supervised=False)
+        assert port in str(told.value)
+        assert not lab.jogged
+
+
+@pytest.mark.parametrize(
+    ("heard", "sent", "said"),
+    [
+        (b"Grbl 1.1h ['$' for help]\r\n", b"", "GRBL"),
+        (b"<Idle|MPos:0,0,0|FS:0,0>\r\n", b"?", "GRBL"),
+        (b"start\necho:Marlin 2.1\n", b"", "Marlin"),
+        (b"4.20 g\r\n 14.20 g\r\n", b"", "scale"),
+        (b"ST,+00014.20  g\r\nST,+00014.20  g\r\n", b"", "scale"),
+        (b"???", b"????", "modem"),
+        (b"\xff\xfe\x01", b"", "baud"),
+    ],
+)
+def test_who_speaks_is_told_by_its_lines(heard: bytes, sent: bytes, said: str) -> None:
+    assert said in describe_heard(heard, sent)
+
+
+def test_lines_of_nobody_known_are_shown_and_nobody_is_named() -> None:
+    assert describe_heard(b"login: \r\n").endswith("'login:'")

@@ -1,7 +1,5 @@
 """Plans: which places, presses, shots and frames they ask for, and in which order."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 
@@ -11,16 +9,7 @@ from tests.refusals import refused
 
 from palpate.core.errors import InputError
 from palpate.core.sensor import for_rig, sensor
-from palpate.rig.plans import (
-    PLANS,
-    Grid,
-    Scattered,
-    StepHold,
-    plan_from,
-    plan_of,
-    plan_of_sensor,
-    size_of,
-)
+from palpate.rig.plans import PLANS, Grid, Scattered, StepHold, plan_from, plan_of, plan_of_sensor, size_of
 from palpate.rig.plans.plan_kinds import Dwell, Lateral
 from palpate.rig.plans.recording_plan import Aside, Burst, Depth, Over, Seek, Step, TareStep
 
@@ -57,13 +46,8 @@ def test_a_press_tares_in_the_air_finds_contact_and_then_goes_down_step_by_step(
     assert [step.depth_m for step in steps if isinstance(step, Depth)] == pytest.approx([1e-4, 2e-4, 3e-4])
 
 
-@given(
-    done=st.lists(st.tuples(st.integers(0, 5), st.integers(0, 2)), max_size=20),
-    unloading=st.booleans(),
-)
-def test_a_resumed_press_records_what_is_missing_and_nothing_else(
-    done: list[tuple[int, int]], unloading: bool
-) -> None:
+@given(done=st.lists(st.tuples(st.integers(0, 5), st.integers(0, 2)), max_size=20), unloading=st.booleans())
+def test_a_resumed_press_records_what_is_missing_and_nothing_else(done, unloading):
     plan = StepHold(depth_mm=0.3, cycles=1, frames=3, reference_frames=2, unloading=unloading)
     press = next(plan.presses())
     shots = plan.shots(press)
@@ -80,13 +64,6 @@ def test_a_resumed_press_records_what_is_missing_and_nothing_else(
     wanted = {(s.key, k) for s, n in shots for k in range(n)} - {(key, k) for key in held for k in held[key]}
     assert len(recorded) == len(set(recorded))
     assert set(recorded) == wanted
-
-
-def test_a_press_of_which_nothing_is_missing_moves_nothing() -> None:
-    plan = StepHold(depth_mm=0.2, cycles=1, frames=1, reference_frames=0)
-    press = next(plan.presses())
-    done = {shot.key: frozenset(range(frames)) for shot, frames in plan.shots(press)}
-    assert list(plan.steps(press, done)) == []
 
 
 def test_a_lateral_load_returns_to_the_middle_before_each_direction_and_at_the_end() -> None:
@@ -116,12 +93,6 @@ def test_a_dwell_spreads_its_frames_over_its_time() -> None:
     ]
     assert held.every_s == 3.0
     assert len(held.missing) == 10
-
-
-def test_the_hash_names_what_is_recorded() -> None:
-    assert StepHold().hash == StepHold().hash
-    assert StepHold().hash != StepHold(frames=24).hash
-    assert StepHold().hash != StepHold(order="rounds").hash
 
 
 def test_scattered_places_repeat_with_their_seed_and_keep_apart() -> None:

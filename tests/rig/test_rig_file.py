@@ -1,9 +1,9 @@
 """A rig from a file: what it says is opened, and what it says wrongly is refused by name."""
 
-from __future__ import annotations
-
+import math
+import os
+import random
 import re
-import subprocess
 import sys
 from contextlib import ExitStack
 from dataclasses import replace
@@ -12,19 +12,25 @@ from typing import Any
 
 import pytest
 from tests.fakes.grbl_parameters import GrblParameters
-from tests.fakes.netft_box import FakeNetFT
+from tests.fakes.netft_box import FakeNetFT, FakePage
+from tests.fakes.ur_controller import PROTECTIVE, UrController, ur_modules
+from tests.fakes.video_capture import FakeVideoCapture
 from tests.refusals import refused
-from tests.rig.rigs import plan
+from tests.rig.lab_files import CAMERA, SOURCES
+from tests.rig.rigs import plan, quick
 
-from palpate.core import MonotonicClock
-from palpate.core.errors import DeviceError, InputError
+from palpate.core import DeviceError, InputError, MonotonicClock
 from palpate.core.provenance import Provenance
 from palpate.devices.motion_limits import Reason
 from palpate.devices.rpc import path_of
-from palpate.devices.supervisor.guard_messages import encode_message
 from palpate.rig import State, open_rig, record
+from palpate.rig.commissioning.bench import bench_status, open_bench
+from palpate.rig.commissioning.hand_motion import jog
+from palpate.rig.commissioning.homing import home_clear
+from palpate.rig.commissioning.setup_answers import toml_text
 from palpate.rig.engine import manifest_of
-from palpate.rig.rig_file import GrblPart, opened_rig, read_rig
+from palpate.rig.plans import Listed
+from palpate.rig.rig_file import GrblPart, UrArmPart, opened_rig, read_rig
 from palpate.rig.rig_file.motion_parts import LimitsPart
 from palpate.rig.service import rig_name, served_rig
 from palpate.rig.virtual import virtual_rig
@@ -71,7 +77,9 @@ force_N = 12
     assert rig.seed == 3
     assert rig.limits.force_n == 12
     assert rig.limits.greatest_m == pytest.approx((0.03, 0.03, 0.008))
-    outcome = record(rig, plan(), tmp_path / "run")
+    outcome = record(
+        rig, quick(places=Listed(kind="listed", at_mm=((0.0, 0.0),)), seek_mm=0.5), tmp_path / "run"
+    )
     assert (outcome.state, outcome.reason) == (State.FAILED, Reason.NO_CONTACT)
 
 
@@ -83,7 +91,6 @@ force_N = 12
         ('name = "x"', "parts-missing", "stage"),
         ('name = "x"\n[virtual]\nsead = 1', "file-field", "sead"),
         ('name = "x"\n[virtual]\nfaults = [{ kind = "rain" }]', "file-field", "faults"),
-        ('name = "x"\n[virtual]\nfaults = [{ after = 1 }]', "file-field", "after"),
         ('name = "x"\n[virtual]\n[stage]\nkind = "grbl"\nport = "p"', "parts-exclude", "virtual"),
         ('name = "x"\n[stage]\nkind = "klipper"\nport = "p"', "unknown-name", "stage.kind"),
         ('name = "x"\n[stage]\nkind = "marlin"\nport = "p"\nspeed = 1', "file-field", "stage.speed"),
@@ -93,16 +100,9 @@ force_N = 12
             "file-field",
             "force_N",
         ),
-        (
-            'name = "x"\n[virtual]\n[limits]\nleast_mm = [0, 0, 0]\ngreatest_mm = [1, 1, 1]\nforce_N = 1e9',
-            "file-field",
-            "force_N",
-        ),
     ],
 )
-def test_a_file_that_says_something_wrong_is_refused_by_name(
-    tmp_path: Path, text: str, code: str, named: str
-) -> None:
+def test_a_file_that_says_something_wrong_is_refused_by_name(tmp_path, text, code, named):
     with refused(code, InputError, match=named):
         open_rig(written(tmp_path, text))
 
@@ -134,9 +134,7 @@ def test_the_operators_page_opens_a_rig_by_its_file(tmp_path: Path) -> None:
     ("provenance", "simulated"),
     [(None, True), (Provenance.SIMULATED, True), (Provenance.MEASURED, False), (Provenance.DERIVED, False)],
 )
-def test_a_rig_is_simulated_where_a_device_of_it_is_virtual_and_so_are_its_runs(
-    provenance: Provenance | None, simulated: bool
-) -> None:
+def test_a_rig_is_simulated_where_a_device_of_it_is_virtual_and_so_are_its_runs(provenance, simulated):
     made = virtual_rig()
     rig = replace(made, origin="shear was not measured", provenance=provenance or made.provenance)
     assert rig.is_simulated == simulated
@@ -172,9 +170,7 @@ def test_a_device_that_is_missing_is_told_and_those_opened_before_are_closed(tmp
         ("step_mm", "2", "1"),
     ],
 )
-def test_a_limit_beyond_its_ceiling_is_refused_with_both_numbers(
-    tmp_path: Path, field: str, value: str, most: str
-) -> None:
+def test_a_limit_beyond_its_ceiling_is_refused_with_both_numbers(tmp_path, field, value, most):
     text = 'name = "x"\n[virtual]\n[limits]\nleast_mm = [-1, -1, -1]\ngreatest_mm = [1, 1, 1]\n'
     said = re.escape(f"{field} is {float(value):g}, and {most} is the greatest")
     with pytest.raises(InputError, match=said):
@@ -192,9 +188,7 @@ def test_a_limit_beyond_its_ceiling_is_refused_with_both_numbers(
         ('reference = "somewhere"', "reference"),
     ],
 )
-def test_a_stage_that_cannot_be_as_it_is_stated_is_refused_before_its_port_is_opened(
-    tmp_path: Path, said: str, named: str
-) -> None:
+def test_a_stage_that_cannot_be_as_it_is_stated_is_refused_before_its_port_is_opened(tmp_path, said, named):
     with refused("file-field", InputError, match=named):
         read_rig(Path(written(tmp_path, f'name = "x"\n[stage]\nkind = "grbl"\nport = "p"\n{said}')))
 
@@ -202,18 +196,10 @@ def test_a_stage_that_cannot_be_as_it_is_stated_is_refused_before_its_port_is_op
 def test_what_a_file_says_of_a_stage_without_switches_reaches_its_driver(grbl_bench: Any) -> None:
     bench = grbl_bench(GrblParameters(settings={20: 0, 22: 0}, homed=True), clock=MonotonicClock())
     part = GrblPart(
-        kind="grbl",
-        port=bench.terminal.path,
-        require_homed=False,
-        reference=(1.0, 2.0, 3.0),
-        steps_per_mm=(250, 250, 250),
-        direction_mask=0,
-        least_mm=(-10, -10, -10),
-        greatest_mm=(10, 10, 10),
-        top_speed_mm_s=3.0,
-        boot_s=0.05,
-        reply_s=10.0,
-    )
+        kind="grbl", port=bench.terminal.path, require_homed=False, reference=(1.0, 2.0, 3.0),
+        steps_per_mm=(250, 250, 250), direction_mask=0, least_mm=(-10, -10, -10), greatest_mm=(10, 10, 10),
+        top_speed_mm_s=3.0, boot_s=0.05, reply_s=10.0,
+    )  # fmt: skip
     stage = part.open(MonotonicClock(), position="reference")
     try:
         assert stage.position_m() == pytest.approx((1e-3, 2e-3, 3e-3))
@@ -224,21 +210,17 @@ def test_what_a_file_says_of_a_stage_without_switches_reaches_its_driver(grbl_be
 
 
 TOO_SMALL = [
-    ("limits", "step_mm", 1e-9, "mm"),
-    ("limits", "force_rate_N_s", 1e-9, "N/s"),
-    ("limits", "overshoot_mm", 1e-9, "mm"),
-    ("limits", "age_s", 1e-9, "s"),
-    ("stage", "top_speed_mm_s", 1e-9, "mm/s"),
-    ("stage", "latency_s", 1e-9, "s"),
-    ("stage", "stop_s", 1e-9, "s"),
-    ("force", "silence_s", 1e-9, "s"),
-]
+    ("limits", "step_mm", 1e-9, "mm"), ("limits", "force_rate_N_s", 1e-9, "N/s"),
+    ("limits", "overshoot_mm", 1e-9, "mm"), ("limits", "age_s", 1e-9, "s"),
+    ("stage", "top_speed_mm_s", 1e-9, "mm/s"), ("stage", "latency_s", 1e-9, "s"),
+    ("stage", "stop_s", 1e-9, "s"), ("force", "silence_s", 1e-9, "s"),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("table", "field", "value", "unit"), TOO_SMALL)
 def test_a_value_too_small_to_record_with_is_refused_with_field_floor_and_unit(
-    tmp_path: Path, table: str, field: str, value: float, unit: str
-) -> None:
+    tmp_path, table, field, value, unit
+):
     text = REAL.format(rdt=1, http=1).replace(f"[{table}]\n", f"[{table}]\n{field} = {value}\n")
     path = tmp_path / "rig.toml"
     path.write_text(text)
@@ -271,9 +253,7 @@ def test_a_host_that_is_none_is_refused_by_its_field(tmp_path: Path, host: str) 
     ],
     ids=["least above greatest", "outside the travel", "force above the range"],
 )
-def test_limits_that_cannot_be_kept_are_refused_before_the_stage_is_homed(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, limits: dict[str, Any]
-) -> None:
+def test_limits_that_cannot_be_kept_are_refused_before_the_stage_is_homed(monkeypatch, tmp_path, limits):
     moved: list[str] = []
     one = virtual_rig()
     monkeypatch.setattr(opened_rig, "home_clear", lambda *_, **__: moved.append("homed"))
@@ -308,29 +288,139 @@ class SmallForce:
         pass
 
 
-@pytest.mark.slow
-def test_a_client_that_goes_at_a_refusal_leaves_no_traceback(tmp_path: Path) -> None:
-    fields = read_rig_fields(tmp_path)
-    for _ in range(3):
-        process = subprocess.Popen(
-            [sys.executable, *opened_rig.SUPERVISOR],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
+# A rig's file with an arm: what it refuses, and the rig's check on it.
+
+HOST = "127.{}.{}.1".format(*divmod(os.getpid() % 60_000, 250))  # an arm has one holder
+STAGE = {
+    "kind": "ur-arm", "host": HOST, "rotation": [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]],
+    "zero_mm": [400.0, 100.0, 200.0], "tool_rotvec_rad": [math.pi, 0.0, 0.0],
+    "least_mm": [-30.0, -30.0, -40.0], "greatest_mm": [30.0, 30.0, 9.0],
+}  # fmt: skip
+HANGS = (0.4, 0.1, 0.212, math.pi, 0.0, 0.0)  # 12 mm above the skin
+STIFFNESS_N_M = 4000.0
+NOISE_N = 0.002
+
+
+class ArmLab:
+    """Arm, force box and camera, all fakes, and the file that names them."""
+
+    def __init__(self, folder: Path, arm: UrController, box: FakeNetFT) -> None:
+        self.path, self.arm, self._folder = folder / "rig.toml", arm, folder
+        self.fields = {
+            "name": "arm",
+            "stage": STAGE,
+            "force": {
+                "kind": "netft", "host": box.host, "rdt_port": box.rdt_port, "http_port": box.http_port,
+                "silence_s": 0.5, "axes": ["x", "y", "-z"],
+            },
+            "camera": {"kind": CAMERA, "lab": str(folder)},
+            "limits": {
+                "least_mm": [-25, -25, -30],
+                "greatest_mm": [25, 25, 8],
+                "force_N": 15.0,
+                "age_s": 0.4,
+            },
+        }  # fmt: skip
+
+    def write(self, **stage) -> str:
+        self.path.write_text(toml_text({**self.fields, "stage": {**STAGE, **stage}}))
+        return str(self.path)
+
+
+@pytest.fixture
+def lab(tmp_path, monkeypatch):
+    arm = UrController(HANGS, MonotonicClock())
+    for name, module in ur_modules(arm).items():
+        monkeypatch.setitem(sys.modules, name, module)
+    SOURCES[str(tmp_path)] = FakeVideoCapture(rate_hz=20.0)
+
+    def force(t: float) -> tuple[float, float, float]:
+        depth_m = max(0.2 - arm.true_pose()[2], 0.0)  # the skin lies at the rig's zero, 200 mm above the base
+        x, y, z = (random.gauss(0.0, NOISE_N) for _ in "xyz")
+        return x, y, z - STIFFNESS_N_M * depth_m
+
+    with FakeNetFT(page=FakePage(ranges="30;30;60;3;3;3")) as box:
+        box.force = force
+        yield ArmLab(tmp_path, arm, box)
+    SOURCES.pop(str(tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("field", "says"),
+    [
+        ({"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}, "rotation mirrors"),
+        ({"rotation": [[1, 0, 0], [0, -1, 0], [0, 0, -0.9]]}, "not orthonormal"),
+        ({"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}, "180 degrees"),
+        ({"top_speed_mm_s": 251.0}, "top_speed_mm_s is"), ({"stop_mm_s2": 50.0}, "stop_mm_s2 is"),
+        ({"tilt_deg": 5.0}, "tilt_deg is"), ({"host": "a host"}, "no host"),
+        ({"greatest_mm": [-30.0, 30.0, 9.0]}, "box along"), ({"home": True}, "stage.home: Extra"),
+    ],
+)  # fmt: skip
+def test_a_file_that_says_an_arm_wrongly_is_refused_by_field(lab, field, says) -> None:
+    with pytest.raises(InputError, match=says):
+        read_rig(Path(lab.write(**field)))
+
+
+def test_a_file_of_an_arm_needs_its_frame_and_box(lab) -> None:
+    for missing in ("rotation", "zero_mm", "tool_rotvec_rad", "least_mm", "greatest_mm"):
+        fields = {name: value for name, value in STAGE.items() if name != missing}
+        lab.path.write_text(toml_text({**lab.fields, "stage": fields}))
+        with pytest.raises(InputError, match=f"stage.{missing}: Field"):
+            read_rig(lab.path)
+
+
+def test_the_numbers_of_a_file_are_the_drivers(lab) -> None:
+    part = read_rig(Path(lab.write(top_speed_mm_s=20.0, stop_mm_s2=800.0))).stage
+    assert isinstance(part, UrArmPart)
+    spec = part.spec()
+    assert (spec.top_speed_m_s, spec.stop_m_s2, spec.rate_hz) == (0.02, 0.8, 125.0)
+    assert spec.frame.base_m((0.0, 0.0, 0.01)) == pytest.approx((0.4, 0.1, 0.19))
+
+
+def test_an_arm_has_no_homing_is_jogged_by_its_limits_and_its_status_tells_a_stop(lab) -> None:
+    bench = open_bench(lab.write())
+    found = bench_status(bench)
+    assert found["stage_says"] == "running"
+    assert found["position_mm"] == pytest.approx([0.0, 0.0, -12.0], abs=1e-3)
+    stage = bench.need_stage()
+    with pytest.raises(DeviceError, match="no homing"):
+        home_clear(stage, bench.force, bench.mounting, bench.clock)
+    x, y, z = stage.position_m()
+    jog(
+        stage, bench.force, bench.mounting, bench.limits, bench.clock,
+        axis="z", distance_m=-1e-3, speed_m_s=2e-3,
+    )  # fmt: skip
+    assert stage.position_m() == pytest.approx((x, y, z - 1e-3), abs=3e-5)
+    lab.arm.stop_for_safety(PROTECTIVE)
+    bench.clock.sleep(0.02)
+    assert "protective stop" in bench_status(bench)["problems"]["stage"]
+    bench.close()
+
+
+LIBRARY = """
+import math
+from palpate.core import MonotonicClock
+from tests.fakes.ur_controller import UrController, ur_modules
+ARM = UrController({pose}, MonotonicClock())
+MODULES = ur_modules(ARM)
+"""
+
+
+def test_an_arm_is_moved_by_its_supervisors_process(lab, tmp_path, monkeypatch) -> None:
+    folder = tmp_path / "library"
+    folder.mkdir()
+    (folder / "fake_arm.py").write_text(LIBRARY.format(pose=list(HANGS)))
+    interfaces = {"rtde_control": "RTDEControlInterface", "rtde_receive": "RTDEReceiveInterface"}
+    for name, interface in interfaces.items():
+        (folder / f"{name}.py").write_text(
+            f"from fake_arm import MODULES\n{interface} = MODULES[{name!r}].{interface}\n"
         )
-        assert process.stdin is not None
-        assert process.stdout is not None
-        assert process.stderr is not None
-        process.stdin.write(encode_message({"rig": fields, "name": str(tmp_path)}))
-        process.stdin.flush()
-        assert b'"ok"' in process.stdout.readline()
-        process.stdin.close()
-        process.wait(20)
-        with process.stdout, process.stderr:
-            assert b"Traceback" not in process.stderr.read()
-
-
-def read_rig_fields(folder: Path) -> dict[str, Any]:
-    path = folder / "rig.toml"
-    path.write_text(REAL.format(rdt=1, http=1))
-    return read_rig(path).model_dump(mode="json")
+    monkeypatch.syspath_prepend(folder)  # which the process is given
+    rig = open_rig(lab.write())
+    try:
+        assert rig.supervisor is not None
+        assert rig.stage.position_m() == pytest.approx((0.0, 0.0, -0.012), abs=1e-6)
+        assert rig.stage.travel.acceleration_m_s2 == 1.0
+        assert not lab.arm.uploads  # it is another process's
+    finally:
+        rig.close()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,36 +12,30 @@ from typing import Any
 
 import pytest
 from tests.fakes.grbl_parameters import GrblFaults, GrblParameters
+from tests.fakes.marlin_firmware import MarlinFaults, MarlinFirmware, MarlinParameters
 from tests.fakes.netft_box import FakeNetFT, FakePage
-from tests.fakes.video_capture import FakeVideoCapture
+from tests.fakes.printing_scale import PrintingScale
 from tests.refusals import refused
 from tests.rig.conftest import GrblBench
-from tests.rig.lab_files import pushed
+from tests.rig.lab_files import CAMERA, lab_file, palpate, pushed, served
 from typer.testing import CliRunner
 
 from palpate.cli import app
 from palpate.core import Clock, MonotonicClock, Wrench
-from palpate.core.errors import DeviceError, ExistsError, InputError, RangeError
+from palpate.core.clock import NS_PER_S
+from palpate.core.errors import DeviceError, ExistsError, InputError, PositionUnknownError, RangeError
 from palpate.devices.motion_limits import Tripped
 from palpate.rig.commissioning.rig_setup import PRESS_MM_S, set_up
-from palpate.rig.commissioning.setup_answers import Answers, kept_answers
+from palpate.rig.commissioning.setup_answers import Answers
 from palpate.rig.plans import Grid, StepHold
 from palpate.rig.real.grbl import GrblSpec, GrblStage
-from palpate.rig.real.uvc_camera import UvcCamera, UvcSettings
-from palpate.rig.rig_file import LimitsPart
+from palpate.rig.rig_file import LimitsPart, open_rig, read_rig
 
 SURFACE_MM = 5.5  # of the skin, in the sensor's z
 STIFFNESS_N_MM = 4.0
 WEIGHT_G = 200.0
 G = 9.80665
 OFFSET_N = (0.4, -0.2, 7.0)  # the box is not zeroed
-
-
-def fake_camera(clock: Clock | None = None, **_: Any) -> UvcCamera:
-    """A camera of noise, as a class of one's own would be named in a rig's file."""
-    settings = UvcSettings(size_px=(64, 48), rate_hz=20.0, exposure_s=5e-3, freeze_s=5.0)
-    source = FakeVideoCapture(rate_hz=20.0)
-    return UvcCamera("/dev/video7", settings, clock, opener=lambda where: source)
 
 
 LABS: dict[str, Lab] = {}
@@ -137,22 +131,13 @@ def answers_of(one: Lab, **changed: Any) -> LabAnswers:
     return LabAnswers(
         one,
         {
-            "name": "bench 2",
-            "stage_ports": [one.bench.terminal.path],
-            "boot_s": 0.05,
-            "latency_s": 0.01,
-            "force_kind": "tests.rig.test_rig_setup:LabForce",
-            "force_options": {"lab": "bench 2"},
-            "camera_kind": "tests.rig.test_rig_setup:fake_camera",
-            "may_move": True,
-            "home": False,
-            "reach_mm": 4.0,
-            "mass_g": WEIGHT_G,
-            "mass_tolerance_g": 0.2,
-            "weight_lies": True,
+            "name": "bench 2", "stage_ports": [one.bench.terminal.path], "boot_s": 0.05, "latency_s": 0.01,
+            "force_kind": "tests.rig.test_rig_setup:LabForce", "force_options": {"lab": "bench 2"},
+            "camera_kind": CAMERA, "may_move": True, "home": False,
+            "reach_mm": 4.0, "mass_g": WEIGHT_G, "mass_tolerance_g": 0.2, "weight_lies": True,
         }
         | changed,
-    )
+    )  # fmt: skip
 
 
 def walked(one: Lab, out: Path, **changed: Any) -> Any:
@@ -180,9 +165,7 @@ def test_a_walk_through_the_setup_finds_sign_surface_and_scale_and_ends_in_the_c
 @pytest.mark.slow
 @pytest.mark.parametrize("answer", [{"still_there": False}, {"still_there": True}, {"hold_motors": True}])
 @pytest.mark.cases(1)
-def test_a_setup_of_a_stage_that_releases_its_motors_asks_before_it_believes_the_position(
-    tmp_path: Path, answer: dict[str, Any]
-) -> None:
+def test_a_setup_of_a_stage_that_releases_its_motors_asks_before_it_believes_the_position(tmp_path, answer):
     with lab(hold=25) as one:
         made, _, _ = walked(one, tmp_path / "rig.toml", mass_g=0, **answer)
         assert (one.bench.firmware.settings[1] == 255) is ("hold_motors" in answer)
@@ -190,38 +173,20 @@ def test_a_setup_of_a_stage_that_releases_its_motors_asks_before_it_believes_the
     assert any("--position" in line for line in made.unchecked) is ("hold_motors" not in answer)
 
 
-@pytest.mark.parametrize("latency_s", [0.2, *(pytest.param(s, marks=pytest.mark.slow) for s in (0.01, 0.05))])
-def test_the_file_that_setup_writes_lets_a_plan_press_at_its_usual_speed(
-    tmp_path: Path, latency_s: float
-) -> None:
-    with lab() as one:
-        _, file, _ = walked(one, tmp_path / "rig.toml", may_move=False, mass_g=0, latency_s=latency_s)
-        limits = LimitsPart(**file["limits"]).limits()
-        usual_m_s = StepHold(places=Grid()).press_mm_s * 1e-3
-        assert usual_m_s == PRESS_MM_S * 1e-3
-        stage = GrblStage.open(GrblSpec(one.bench.terminal.path, boot_s=0.05, latency_s=latency_s))
-        try:
-            limits.check_speed(usual_m_s, stage.travel)
-        finally:
-            stage.close()
-
-
 def test_a_setup_that_may_move_nothing_writes_what_it_found_and_says_what_it_did_not(tmp_path: Path) -> None:
     with lab() as one:
         made, file, _ = walked(
-            one,
-            tmp_path / "rig.toml",
-            may_move=False,
-            mass_g=0,
-            force_kind="netft",
-            force_host="127.0.0.1",
-            force_rdt_port=one.box.rdt_port,
-            force_http_port=one.box.http_port,
-            force_silence_s=0.5,
-            typo=1,
-        )
+            one, tmp_path / "rig.toml", may_move=False, mass_g=0, latency_s=0.2, force_kind="netft",
+            force_host="127.0.0.1", force_rdt_port=one.box.rdt_port, force_http_port=one.box.http_port,
+            force_silence_s=0.5, typo=1,
+        )  # fmt: skip
         assert one.bench.place_mm == (-50.0, -50.0, -5.0)
         assert b"J=" not in one.bench.received
+        usual_m_s = StepHold(places=Grid()).press_mm_s * 1e-3
+        assert usual_m_s == PRESS_MM_S * 1e-3
+        stage = GrblStage.open(GrblSpec(one.bench.terminal.path, boot_s=0.05, latency_s=0.2))
+        with stage:  # a plan may press at its usual speed
+            LimitsPart(**file["limits"]).limits().check_speed(usual_m_s, stage.travel)
     assert file["limits"]["greatest_mm"] == [0.0, 100.0, 100.0]
     assert file["limits"]["force_N"] == 15.0
     assert made.checks == []
@@ -230,55 +195,10 @@ def test_a_setup_that_may_move_nothing_writes_what_it_found_and_says_what_it_did
         assert word in said
 
 
-class Led(Exception):
-    """The probe hangs where it is to touch."""
-
-
-class Leading(LabAnswers):
-    """Somebody who leads the probe in steps, and leaves before it touches."""
-
-    def __init__(self, lab: Lab, answers: dict[str, Any], steps: list[Any]) -> None:
-        super().__init__(lab, answers)
-        self.steps, self.told = steps, list[str]()
-
-    def ask(self, name: str, question: str, proposal: Any = None, *, words: bool = False) -> Any:
-        if name == "above_mm":
-            self.told.append(str(proposal))
-            return self.steps.pop(0) if self.steps else proposal
-        if name == "reach_mm":
-            raise Led
-        return super().ask(name, question, proposal, words=words)
-
-    def again(self, why: str, since: int = -1) -> bool:
-        self.told.append(why)
-        return True
-
-
-@pytest.mark.slow
-def test_a_person_leads_the_probe_over_the_skin_in_steps_and_is_told_where_it_stands(tmp_path: Path) -> None:
-    with lab() as one:
-        given = answers_of(one, mass_g=0)._stated
-        led = Leading(one, given, ["x 0.5", "z 80", "y-0.5", "x 999", "nowhere"])
-        with pytest.raises(Led):
-            set_up(tmp_path / "rig.toml", led, lambda line: None)
-        assert one.bench.place_mm == pytest.approx((-49.5, -49.5, -5.0), abs=0.01)
-    said = "\n".join(led.told)
-    assert "[-49.5, 50.0" in said
-    assert "50 mm" in said
-    assert "three numbers" in said
-
-
 def test_a_step_in_a_file_of_answers_is_refused_after_it_and_not_repeated(tmp_path: Path) -> None:
     with lab() as one, pytest.raises(InputError, match="three numbers"):
         set_up(tmp_path / "rig.toml", answers_of(one, above_mm="x 0.5"), lambda line: None)
     assert one.bench.place_mm[0] == pytest.approx(-49.5, abs=0.01)
-
-
-def test_the_version_of_a_firmware_that_said_no_banner_is_asked_for(tmp_path: Path) -> None:
-    with lab(no_banner=True) as one:
-        _, file, said = walked(one, tmp_path / "rig.toml", may_move=False, mass_g=0, stage_baud=57600)
-    assert "version 1.1h" in said
-    assert file["stage"]["baud"] == 57600
 
 
 def test_what_a_person_answered_before_a_setup_failed_is_kept_and_gone_on_with(tmp_path: Path) -> None:
@@ -311,13 +231,6 @@ def typed_by(*words: str, **stated: Any) -> Answers:
     return Answers(stated, read=read)
 
 
-def test_nobody_at_the_prompt_ends_a_question_that_would_be_asked_again() -> None:
-    person = typed_by("99")
-    with pytest.raises(InputError, match="nobody answered"):
-        person.number("force_N", "Force", 1.0, 10.0)
-    assert person.given == {}
-
-
 def test_a_device_that_does_not_answer_is_asked_for_again_with_what_was_said_as_proposal() -> None:
     taken = list[tuple[str, str]]()
 
@@ -335,11 +248,6 @@ def test_a_device_that_does_not_answer_is_asked_for_again_with_what_was_said_as_
     assert again.until_good(lambda: take(again)) == "open"
     assert taken == [("wrong", "7"), ("right", "7")]
     assert again.given == {"host": "right", "port": "7"}
-
-
-def test_what_was_true_at_its_moment_alone_is_not_kept() -> None:
-    moment = {"label_weight_lies": True, "force_weight_lies": True, "weight_off": True, "reach_mm": 1.0}
-    assert kept_answers({"mass_g": 5, **moment}) == {"mass_g": 5}
 
 
 def test_soft_limits_the_wrong_way_round_are_refused(tmp_path: Path) -> None:
@@ -374,3 +282,133 @@ def test_a_dead_sensor_is_found_before_the_skin_is_pressed_deep(tmp_path: Path) 
         set_up(tmp_path / "rig.toml", answers_of(one, reach_mm=1.0), print)
     assert one.deepest_mm < 1.0
     assert not (tmp_path / "rig.toml").exists()
+
+
+# The guided setup with each kind of device, and with wrong answers: what a newcomer would stumble over.
+
+pytest.importorskip("serial", reason="a stage's port needs pyserial")
+COUNT_N = 2.5e-5
+MASS_G = 500.0
+
+
+def now_s() -> float:
+    return MonotonicClock().now_ns() / NS_PER_S
+
+
+class Person(LabAnswers):
+    """Somebody who also lays a weight on the scale."""
+
+    lies = False
+
+    def ask(self, name: str, question: str, proposal: Any = None, *, words: bool = False) -> Any:
+        if name.endswith("_weight_lies"):
+            Person.lies = True
+        return super().ask(name, question, proposal, words=words)
+
+
+def scale(layout: str = "counts", sign: float = 1.0, rate_hz: float = 20.0) -> PrintingScale:
+    Person.lies = False
+    return PrintingScale(
+        lambda t: sign * MASS_G * 1e-3 * G * Person.lies + random.gauss(0.0, 1e-3), layout=layout,
+        rate_hz=rate_hz, delay_s=0.0, count_n=COUNT_N, now_s=now_s(),
+    )  # fmt: skip
+
+
+def walk(one: Any, out: Path, **changed: Any) -> tuple[dict[str, Any], str]:
+    said: list[str] = []
+    base = answers_of(one, may_move=False, mass_g=0, **changed)._stated
+    set_up(out, Person(one, base), said.append)
+    return tomllib.loads(out.read_text()), "\n".join(said)
+
+
+LABEL = {"label_kind": "serial-scale", "label_rate_hz": 20.0, "label_delay_s": 0.0, "label_mass_g": MASS_G}
+
+
+@pytest.mark.parametrize("sign", [-1.0, pytest.param(1.0, marks=pytest.mark.slow)])
+def test_a_known_weight_gives_the_force_of_a_labelling_cells_count_with_its_sign(tmp_path, sign):
+    with lab() as one, served(scale(sign=sign)) as port:
+        words = {"label_port": port, "label_unit": "counts", "label_weight_lies": True, "label_range_N": 20.0}
+        file, said = walk(one, tmp_path / "rig.toml", **LABEL, **words)
+    assert file["label_force"]["count_N"] == pytest.approx(sign * COUNT_N, rel=0.004)
+    assert file["label_force"]["range_N"] == 20.0
+    assert "4.903 N" in said
+    assert read_rig(tmp_path / "rig.toml").label_force is not None
+
+
+@pytest.mark.slow
+def test_a_scale_that_prints_a_wrong_unit_is_refused_by_the_known_weight(tmp_path: Path) -> None:
+    with lab() as one, served(scale("grams")) as port:
+        words = {"label_port": port, "label_unit": "g", "label_weight_lies": True, **LABEL}
+        walk(one, tmp_path / "right.toml", **words)
+        Person.lies = False
+        with refused("weight-differs", InputError, match=r"9\.80. N"):
+            walk(one, tmp_path / "wrong.toml", **{**words, "label_mass_g": 2 * MASS_G})
+    assert not (tmp_path / "wrong.toml").exists()
+
+
+@pytest.mark.slow
+def test_a_slow_load_cell_is_no_guard_and_is_refused_before_anything_moves(tmp_path: Path) -> None:
+    slow = {
+        "force_kind": "serial-scale",
+        "force_unit": "counts",
+        "force_mass_g": MASS_G,
+        "force_weight_lies": True,
+    }
+    with lab() as one, served(scale(rate_hz=10.0)) as port:
+        words = {
+            "force_port": port, "force_rate_hz": 10.0, "force_delay_s": 0.4, "force_range_N": 20.0, **slow,
+        }  # fmt: skip
+        with refused("force-delay", InputError, match=r"0\.5 s"):
+            walk(one, tmp_path / "rig.toml", **words)
+        assert b"$J" not in one.bench.received
+
+
+@pytest.mark.slow
+def test_a_marlin_printer_with_a_fast_load_cell_is_written_and_opens(tmp_path: Path) -> None:
+    marlin = MarlinFirmware(MarlinParameters(), MarlinFaults(), now_s())
+    fast = {
+        "force_kind": "serial-scale", "force_unit": "counts", "force_mass_g": MASS_G,
+        "force_weight_lies": True, "force_rate_hz": 80.0, "force_delay_s": 0.05, "force_range_N": 20.0,
+    }  # fmt: skip
+    with lab() as one, served(marlin) as stage, served(scale(rate_hz=80.0)) as port:
+        file, said = walk(
+            one, tmp_path / "rig.toml", force_port=port, stage_ports=[stage], stands_mm=[0, 0, 0],
+            least_mm=[-20, -20, -20], greatest_mm=[20, 20, 20], **fast,
+        )  # fmt: skip
+        assert "marlin" in said
+        assert file["stage"]["kind"] == "marlin"
+        assert file["limits"]["force_latency_s"] == pytest.approx(0.063)
+        with pytest.raises(PositionUnknownError):  # a printer releases its motors at rest
+            open_rig(str(tmp_path / "rig.toml"))
+        rig = open_rig(str(tmp_path / "rig.toml"), position="reference")
+        assert rig.stage.position_m() == pytest.approx((0.0, 0.0, 0.0))
+        rig.close()
+
+
+def test_a_person_who_answers_wrongly_is_asked_again_and_a_file_is_not(capsys):
+    def typed(*lines: str) -> Callable[[str], str]:
+        rest = iter(lines)
+        return lambda question: next(rest)
+
+    assert Answers(read=typed("many", "99", "7")).number("n", "How many", 0.0, 10.0) == 7.0
+    assert Answers(read=typed("perhaps", "yes")).confirm("c", "Is it so")
+    assert Answers(read=typed("1, 2", "[1, 2]", "[1, 2, 3]")).three("t", "Where") == (1.0, 2.0, 3.0)
+    assert "99" in capsys.readouterr().err
+    with pytest.raises(InputError):
+        Answers(yes=True, read=input).number("n", "How many", 0.0, 10.0, 11.0)
+
+
+@pytest.mark.slow
+def test_a_jog_without_a_guard_needs_the_word_for_it_and_keeps_its_limits(tmp_path: Path) -> None:
+    with lab_file(tmp_path) as lab_:
+        file = lab_.write()
+        lab_.box.silent = True
+        refused = palpate("rig", "jog", file, "--axis", "x", "--mm", "1")
+        assert refused.returncode == 2
+        assert "--unguarded" in refused.stderr
+        for words in (("--mm", "1", "--speed-mm-s", "5"), ("--mm", "45")):
+            assert palpate("rig", "jog", file, "--axis", "x", "--unguarded", *words).returncode == 2
+        assert not lab_.jogged
+        done = palpate("rig", "jog", file, "--axis", "x", "--mm", "1", "--unguarded")
+        assert done.returncode == 0, done
+        assert lab_.stage.place_mm[0] == pytest.approx(-49.0, abs=0.01)

@@ -1,7 +1,5 @@
 """The driver of an arm on a fake of ur_rtde: where it goes, how it stops, what it refuses."""
 
-from __future__ import annotations
-
 import math
 import os
 import sys
@@ -34,15 +32,14 @@ from palpate.core import (
     ManualClock,
     MissingExtraError,
     MonotonicClock,
-    RangeError,
     Stage,
     Wrench,
 )
-from palpate.devices import Limits, OperatorControl, Reason, Tripped
+from palpate.devices import Limits, OperatorControl, Tripped
 from palpate.devices.check import check_stage
 from palpate.devices.force_bias import ForceBias
 from palpate.devices.motion_guard import ForceReached, MotionGuard
-from palpate.rig.real.ur_arm import MAX_SPEED_M_S, ArmFrame, UrArmSpec, UrArmStage
+from palpate.rig.real.ur_arm import ArmFrame, UrArmSpec, UrArmStage
 from palpate.rig.rig_check import check_rig
 from palpate.rig.virtual import virtual_rig
 
@@ -154,12 +151,13 @@ def test_a_frame_there_and_back_is_where_it_was(turn, zero, place) -> None:
     assert frame.tilt_deg(turn) < 1e-5
 
 
-def test_into_the_skin_is_down_and_y_leads_to_the_viewer(opened) -> None:
-    rig, stage = opened()
+def test_into_the_skin_is_down_and_y_leads_to_the_viewer_without_a_turn_of_the_tool(opened) -> None:
+    rig, stage = opened(pose=(*POSE[:3], math.pi - math.radians(0.4), 0.0, 0.0))
     assert stage.position_m() == pytest.approx((0.0, 0.0, -0.005))
     stage.move_to((0.001, 0.002, 0.003), SPEED)
     rig.arrive(stage)
     assert rig.arm.true_pose()[:3] == pytest.approx([0.401, 0.098, 0.197], abs=2e-5)
+    assert rig.arm.greatest_turn == 0.0
     assert stage.position_m() == pytest.approx((0.001, 0.002, 0.003), abs=2e-5)
 
 
@@ -167,11 +165,8 @@ def test_into_the_skin_is_down_and_y_leads_to_the_viewer(opened) -> None:
     ("rows", "tool", "says"),
     [
         (((1, 0, 0), (0, -1, 0), (0, 0, -1.01)), TOOL, "not-orthonormal"),
-        (((1, 0, 0.02), (0, -1, 0), (0, 0, -1)), TOOL, "not-orthonormal"),
         (((1, 0, 0), (0, 1, 0), (0, 0, -1)), TOOL, "mirrored"),
         (((1, 0, 0), (0, 1, 0), (0, 0, 1)), TOOL, "tool-direction"),  # z out of the skin
-        (((1, 0, 0), (0, 0, 1), (0, -1, 0)), TOOL, "tool-direction"),
-        (DOWN, (0.0, 0.0, 0.0), "tool-direction"),
         (((math.nan, 0, 0), (0, -1, 0), (0, 0, -1)), TOOL, "not-finite"),
     ],
 )
@@ -180,14 +175,18 @@ def test_a_wrong_rotation_is_refused(rows, tool, says) -> None:
         ArmFrame(rows, ZERO, tool)
 
 
-def test_opening_moves_nothing(bench) -> None:
+def test_opening_moves_nothing_and_one_programme_at_a_time_has_an_arm(bench, monkeypatch) -> None:
     rig = bench()
     before = rig.arm.true_pose()
-    rig.open().close()
+    with rig.open(), refused("device-held", DeviceError, match=str(HOST)):
+        rig.open()
     assert not rig.arm.moves
     assert rig.arm.uploads == 1
     assert not rig.arm.programme  # the arm is given back
     assert np.array_equal(rig.arm.true_pose(), before)
+    monkeypatch.setitem(sys.modules, "rtde_receive", None)
+    with pytest.raises(MissingExtraError, match=r"palpate\[ur\]"):
+        rig.open()
 
 
 def test_another_orientation_is_refused_before_the_arm_is_taken(bench) -> None:
@@ -195,50 +194,29 @@ def test_another_orientation_is_refused_before_the_arm_is_taken(bench) -> None:
     with refused("tool-orientation", DeviceError, match=r"0\.60 degrees"):
         rig.open()
     assert not rig.arm.uploads
+    bench(pose=(*POSE[:3], -math.pi, 0.0, 0.0)).open().close()  # another vector of the same orientation
 
 
-def test_two_rotation_vectors_of_one_orientation_are_the_same(bench) -> None:
-    bench(pose=(*POSE[:3], -math.pi, 0.0, 0.0)).open().close()
-
-
-def test_a_tool_within_its_tolerance_is_never_turned(opened) -> None:
-    rig, stage = opened(pose=(*POSE[:3], math.pi - math.radians(0.4), 0.0, 0.0))
-    stage.move_to(LOW, SPEED)
-    rig.arrive(stage)
-    assert rig.arm.moves
-    assert rig.arm.greatest_turn == 0.0
-
-
-def test_a_tool_that_is_turned_later_is_named(opened) -> None:
+@pytest.mark.parametrize(
+    ("pose", "code"),
+    [
+        ((*POSE[:3], math.pi, 0.05, 0.0), "tool-orientation"),
+        ((0.4, 0.16, 0.205, *TOOL), "outside-travel"),  # not sent back blindly
+    ],
+)
+def test_an_arm_that_was_led_elsewhere_is_not_moved(opened, pose, code) -> None:
     rig, stage = opened()
-    rig.arm.led_to((*POSE[:3], math.pi, 0.05, 0.0))
+    rig.arm.led_to(pose)
     rig.clock.sleep(0.01)
-    for call in (stage.moving, lambda: stage.move_to(LOW, SPEED)):
-        with refused("tool-orientation", DeviceError):
-            call()
-    assert not rig.arm.moves
-
-
-def test_an_arm_outside_its_box_is_not_sent_back_blindly(opened) -> None:
-    rig, stage = opened()
-    rig.arm.led_to((0.4, 0.16, 0.205, *TOOL))
-    rig.clock.sleep(0.01)
-    with refused("outside-travel", DeviceError, match=r"-60\.00 mm"):
+    with refused(code, DeviceError):
         stage.move_to(LOW, SPEED)
+    assert not rig.arm.moves
 
 
 # Speed and stops.
 
 
-def test_the_ceiling_of_speed_is_250_mm_s() -> None:
-    spec = UrArmSpec("arm", FRAME, **BOX, top_speed_m_s=MAX_SPEED_M_S)
-    assert spec.top_speed_m_s == 0.25
-    with pytest.raises(RangeError, match="top_speed_m_s"):
-        UrArmSpec("arm", FRAME, **BOX, top_speed_m_s=0.2501)
-
-
-@pytest.mark.parametrize("stop_m_s2", [0.5, 2.0])
-@pytest.mark.parametrize("speed", [0.002, 0.02, 0.1, 0.25])
+@pytest.mark.parametrize(("speed", "stop_m_s2"), [(0.02, 0.5), (0.25, 2.0)])
 def test_a_stop_runs_on_by_v2_over_2a_and_the_latency(opened, speed, stop_m_s2) -> None:
     rig, stage = opened(top_speed_m_s=0.25, stop_m_s2=stop_m_s2, acceleration_m_s2=2.0)
     stage.move_to((-0.05, 0.0, -0.005), 0.05)
@@ -254,21 +232,15 @@ def test_a_stop_runs_on_by_v2_over_2a_and_the_latency(opened, speed, stop_m_s2) 
     rig.arrive(stage)
 
 
-@pytest.mark.parametrize("faults", [UrFaults(weak=0.3), UrFaults(late_s=0.2)])
-def test_a_stop_that_runs_on_too_far_is_told(opened, faults) -> None:
-    rig, stage = opened(top_speed_m_s=0.25, acceleration_m_s2=2.0)
-    rig.to_speed(stage, (0.05, 0.0, -0.005), 0.1)
-    rig.arm.faults = faults
-    with refused("stop-distance", DeviceError):
-        stage.stop()
-    assert rig.arm.true_speed() == 0.0
-
-
-def test_an_arm_that_does_not_stop_is_told_to_be_stopped_by_its_button(opened) -> None:
-    rig, stage = opened(stop_s=0.5)
-    rig.to_speed(stage, (0.05, 0.0, -0.005))
-    rig.arm.faults = UrFaults(deaf=True)
-    with refused("stop-failed", DeviceError):
+@pytest.mark.parametrize(
+    ("faults", "code"),
+    [({"weak": 0.3}, "stop-distance"), ({"late_s": 0.2}, "stop-distance"), ({"deaf": True}, "stop-failed")],
+)
+def test_a_stop_that_runs_on_too_far_or_does_not_come_is_told(opened, faults, code) -> None:
+    rig, stage = opened(top_speed_m_s=0.25, acceleration_m_s2=2.0, stop_s=0.5)
+    rig.to_speed(stage, (0.05, 0.0, -0.005), 0.01 if "deaf" in faults else 0.1)
+    rig.arm.faults = UrFaults(**faults)
+    with refused(code, DeviceError):
         stage.stop()
 
 
@@ -284,12 +256,7 @@ def test_a_motion_found_under_way_is_stopped(bench) -> None:
 
 # What its safety system, its mode and its connection say.
 
-STOPS = {
-    "emergency stop": ((ROBOT_EMERGENCY, EMERGENCY), POWER_OFF),
-    "protective stop": ((PROTECTIVE,), 7),
-    "safeguard": ((SAFEGUARD,), 7),
-    "fault": ((9,), 7),
-}
+STOPS = {"emergency stop": ((ROBOT_EMERGENCY, EMERGENCY), POWER_OFF), "safeguard": ((SAFEGUARD,), 7)}
 
 
 @pytest.mark.parametrize("name", STOPS)
@@ -325,18 +292,21 @@ def test_a_released_arm_whose_programme_ended_is_opened_anew(opened) -> None:
         stage.move_to(LOW, SPEED)
 
 
-@pytest.mark.parametrize(
-    ("mode", "name"), [(3, "power off"), (5, "brakes on"), (-1, "no controller"), (99, "mode 99")]
-)
+@pytest.mark.parametrize(("mode", "name"), [(3, "power off"), (99, "mode 99")])
 def test_a_mode_in_which_it_does_not_run_is_named(bench, mode, name) -> None:
     rig = bench()
     rig.arm.mode = mode
     with pytest.raises(DeviceError, match=name):
         rig.open()
     assert not rig.arm.uploads
+    rig.arm.mode = 7
+    rig.open().close()
 
 
 def test_a_lost_connection_is_told_and_a_stop_says_what_to_do(opened) -> None:
+    rig, stage = opened()
+    rig.arm.cut = True
+    stage.close()  # it went nowhere
     rig, stage = opened()
     rig.to_speed(stage, LOW)
     rig.arm.cut = True
@@ -349,34 +319,15 @@ def test_a_lost_connection_is_told_and_a_stop_says_what_to_do(opened) -> None:
         stage.close()
 
 
-def test_an_arm_that_went_nowhere_is_closed_though_its_connection_is_lost(opened) -> None:
-    rig, stage = opened()
-    rig.arm.cut = True
-    stage.close()
-
-
-@pytest.mark.parametrize("stale_s", [0.05, 0.2])
-def test_a_status_that_stands_still_is_refused_once_it_is_too_old(opened, stale_s) -> None:
-    rig, stage = opened(stale_s=stale_s)
+def test_a_status_that_stands_still_is_refused_once_it_is_too_old(opened) -> None:
+    rig, stage = opened(stale_s=0.05)
     rig.to_speed(stage, LOW)
     stage.position_m()
     rig.arm.faults = UrFaults(silent=True)
     began_s = rig.clock.now_ns() / 1e9
     assert "s old" in rig.fails(stage.position_m)
     took_s = rig.clock.now_ns() / 1e9 - began_s
-    assert stale_s - 1 / 125 - 0.005 <= took_s <= stale_s + 1 / 125 + 0.005
-
-
-@pytest.mark.parametrize("drift", [-8e-5, 0.0, 8e-5])
-def test_clocks_that_drift_apart_make_no_status_old(opened, drift) -> None:
-    rig, stage = opened(drift=drift)
-    ages = []
-    for pause_s in (0.01, 1.0, 9.0, 60.0, 36e3):
-        for _ in range(50):
-            rig.clock.sleep(pause_s)
-            ages.append(stage.status.age_s)
-    assert min(ages) >= 0.0
-    assert max(ages) < 0.01
+    assert 0.05 - 1 / 125 - 0.005 <= took_s <= 0.05 + 1 / 125 + 0.005
 
 
 def test_a_connection_that_fell_silent_in_a_long_pause_is_not_believed(opened) -> None:
@@ -386,6 +337,17 @@ def test_a_connection_that_fell_silent_in_a_long_pause_is_not_believed(opened) -
     rig.clock.sleep(36e3)
     with refused("status-stale", DeviceError):
         stage.position_m()
+
+
+def test_clocks_that_drift_apart_make_no_status_old(opened) -> None:
+    rig, stage = opened(drift=-8e-5)
+    ages = []
+    for pause_s in (0.01, 1.0, 9.0, 60.0, 36e3):
+        for _ in range(50):
+            rig.clock.sleep(pause_s)
+            ages.append(stage.status.age_s)
+    assert min(ages) >= 0.0
+    assert max(ages) < 0.01
 
 
 def test_a_controller_that_restarted_is_told(opened) -> None:
@@ -399,54 +361,38 @@ def test_a_controller_that_restarted_is_told(opened) -> None:
 # Return codes, exceptions, threads.
 
 
-def test_a_refused_move_leaves_it_where_it_was(opened) -> None:
+@pytest.mark.parametrize(
+    ("faults", "code"),
+    [
+        ({"refuse": True}, "move-refused"),
+        ({"refuse_late": True}, "move-refused"),  # and begins all the same
+        ({"raises": True}, "stop-unexpected"),
+    ],
+)
+def test_a_move_that_the_library_refuses_ends_at_a_stand(opened, faults, code) -> None:
     rig, stage = opened()
-    rig.arm.faults = UrFaults(refuse=True)
-    before = rig.arm.true_pose()
-    with refused("move-refused", DeviceError):
-        stage.move_to(LOW, SPEED)
-    assert np.array_equal(rig.arm.true_pose(), before)
-    rig.arm.faults = UrFaults()
-    stage.move_to(LOW, SPEED)
-    rig.arrive(stage)
-
-
-def test_a_move_that_is_refused_and_begins_all_the_same_is_stopped(opened) -> None:
-    rig, stage = opened()
-    rig.arm.faults = UrFaults(refuse_late=True)
-    with refused("move-refused", DeviceError):
+    rig.arm.faults = UrFaults(**faults)
+    with refused(code, DeviceError):
         stage.move_to(LOW, SPEED)
     rig.clock.sleep(1.0)
     assert rig.arm.true_speed() == 0.0
     assert rig.arm.true_pose()[2] > 0.2  # short of it
 
 
-def test_an_exception_of_the_library_is_a_device_error(opened) -> None:
-    rig, stage = opened()
-    rig.arm.faults = UrFaults(raises=True)
-    with refused("stop-unexpected", DeviceError):
-        stage.move_to(LOW, SPEED)
-
-
 def test_an_arm_that_stands_short_or_strays_is_told(opened) -> None:
     rig, stage = opened(still_s=0.2)
+    began_s = rig.clock.now_ns() / 1e9
+    stage.move_to((0.0, 0.0, -0.0049), 5e-5)  # a slow move is neither over too soon nor taken for stuck
+    rig.arrive(stage)
+    assert rig.clock.now_ns() / 1e9 - began_s >= 2.0
     rig.arm.faults = UrFaults(stuck_m=3e-3)
     stage.move_to(LOW, SPEED)
-    assert "7.00 mm" in rig.fails(stage.moving, within_s=2.0)
+    assert "6.90 mm" in rig.fails(stage.moving, within_s=2.0)
     stage.stop()
     rig.arm.faults = UrFaults(aside_m=4e-3)
     stage.move_to(LOW, SPEED)
     assert "straight way" in rig.fails(stage.moving, within_s=4.0)
     stage.stop()
-
-
-def test_a_slow_move_is_neither_over_too_soon_nor_taken_for_stuck(opened) -> None:
-    rig, stage = opened(still_s=0.2)
-    began_s = rig.clock.now_ns() / 1e9
-    stage.move_to((0.0, 0.0, -0.0049), 5e-5)
-    rig.arrive(stage)
-    assert rig.clock.now_ns() / 1e9 - began_s >= 2.0
-    assert stage.position_m()[2] == pytest.approx(-0.0049, abs=2e-5)
 
 
 def test_a_move_that_was_stopped_before_it_began_never_does(opened, monkeypatch) -> None:
@@ -479,36 +425,13 @@ def test_a_stop_waits_until_a_move_is_handed_over_and_then_stops_it(opened) -> N
     assert rig.arm.clashes == 0
 
 
-def test_one_programme_at_a_time_has_an_arm(bench) -> None:
-    rig = bench()
-    with rig.open(), refused("device-held", DeviceError, match=str(HOST)):
-        rig.open()
-    rig.open().close()
-
-
-def test_an_arm_refused_at_opening_is_given_back(bench) -> None:
-    rig = bench()
-    rig.arm.mode = 3
-    with pytest.raises(DeviceError, match="power off"):
-        rig.open()
-    rig.arm.mode = 7
-    rig.open().close()
-
-
-def test_the_library_that_is_missing_is_named(bench, monkeypatch) -> None:
-    rig = bench()
-    monkeypatch.setitem(sys.modules, "rtde_receive", None)
-    with pytest.raises(MissingExtraError, match=r"palpate\[ur\]"):
-        rig.open()
-
-
 # In a rig.
 
 
 class ArmSpring:
     """Force sensor under a skin at the rig's zero, on the bench's clock."""
 
-    rate_hz, range_n = 1000.0, (50.0, 50.0, 50.0)
+    rate_hz, range_n = 250.0, (50.0, 50.0, 50.0)
 
     def __init__(self, rig: ArmBench) -> None:
         self._rig, self._draw = rig, np.random.default_rng(1)
@@ -535,14 +458,20 @@ class ArmSpring:
         return Wrench(round(time_s * 1e9), force, (0.0, *noise[4:]))
 
 
-@pytest.mark.parametrize("stop_n", [1.0, 3.0])
-@pytest.mark.cases(1)
-def test_a_guarded_press_of_an_arm_ends_at_its_force(opened, stop_n) -> None:
+@pytest.fixture
+def guarded(opened, coarse_looks):
+    """An arm over the skin, and a guard that knows its zero."""
     rig, stage = opened(latency_s=0.02)
     limits = Limits((-0.04, -0.04, -0.04), (0.04, 0.04, 0.009), force_n=15.0)
     guard = MotionGuard(stage, ArmSpring(rig), limits, ForceBias(), rig.clock, OperatorControl())
-    guard.tare(1000.0)
-    guard.towards((0.0, 0.0, -0.0005), 2e-3)
+    guard.tare(250.0)
+    return rig, stage, guard
+
+
+def test_a_guarded_press_of_an_arm_ends_at_its_force(guarded) -> None:
+    rig, stage, guard = guarded
+    stop_n = 1.0
+    guard.towards((0.0, 0.0, -0.0005), 3e-3)
     assert guard.towards((0.0, 0.0, 0.006), 1e-3, ForceReached(stop_n))
     depth_m = stage.position_m()[2]
     reached_m = stop_n / STIFFNESS_N_M
@@ -552,20 +481,16 @@ def test_a_guarded_press_of_an_arm_ends_at_its_force(opened, stop_n) -> None:
     assert rig.arm.clashes == 0
 
 
-def test_a_protective_stop_in_a_guarded_press_is_named(opened) -> None:
-    rig, stage = opened(latency_s=0.02)
-    limits = Limits((-0.04, -0.04, -0.04), (0.04, 0.04, 0.009), force_n=15.0)
-    guard = MotionGuard(stage, ArmSpring(rig), limits, ForceBias(), rig.clock, OperatorControl())
-    guard.tare(1000.0)
+def test_a_protective_stop_in_a_guarded_press_is_named(guarded) -> None:
+    rig, _, guard = guarded
 
     def pressed(force) -> bool:
         if force[2] > 1.0 and not rig.arm.safety >> PROTECTIVE & 1:
             rig.arm.stop_for_safety(PROTECTIVE)
         return False
 
-    with pytest.raises(Tripped, match="protective stop") as told:
-        guard.towards((0.0, 0.0, 0.003), 1e-3, pressed)
-    assert told.value.reason is Reason.HARDWARE_STOP
+    with refused("hardware-stop", Tripped, match="protective stop"):
+        guard.towards((0.0, 0.0, 0.003), 2e-3, pressed)
 
 
 @pytest.mark.slow

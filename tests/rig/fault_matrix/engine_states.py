@@ -1,7 +1,5 @@
 """States of the engine in which a fault sets in: the plan that comes through each, and when it is there."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -37,15 +35,11 @@ def plan_with(**changes: Any) -> StepHold:
 
 @dataclass(frozen=True)
 class EngineState:
-    """State of the engine.
+    """State of the engine, by the plan that comes through it.
 
-    Attributes:
-        name: in the table.
-        plan: that comes through it.
-        due: whether the engine is there, in the second of its presses where there are two, so that the
-            force's stiffness is known.
-        pauses: the operator pauses in the second press, so that the engine comes there.
-        before: the fault sets in before the recording is begun, on devices that are open.
+    `due` tells whether the engine is there: in the second of its presses where there are two, so that the
+    force's stiffness is known. Where it `pauses`, the operator does in the second press. `before` is a fault
+    that sets in before the recording is begun, on devices that are open.
     """
 
     name: str
@@ -81,7 +75,7 @@ def _presses(rig: ObservedRig, call: str) -> bool:
 
 def _holds(rig: ObservedRig, call: str) -> bool:
     step = rig.step
-    return call == "force.drain" and _last(rig, Burst) and step.shot.phase == "hold"  # type: ignore[union-attr]
+    return call == "force.drain" and _last(rig, Burst) and step.shot.phase == "hold"
 
 
 def _slides(rig: ObservedRig, call: str) -> bool:

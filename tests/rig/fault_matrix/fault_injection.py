@@ -1,18 +1,18 @@
 """How a fault sets in on an observed rig, and what may be said of it afterwards."""
 
-from __future__ import annotations
-
 import math
 import os
 import signal
+import time
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 from typing import Any
 from unittest import mock
 
-from tests.rig.altered_force import AlteredForce, law_range
 from tests.rig.fault_matrix.observed_rig import ObservedRig
+from tests.rig.guarded_presses import AlteredForce, law_range
 
 from palpate.core import NS_PER_S, DeviceError, Position, Wrench
 from palpate.devices import OperatorCommand
@@ -32,13 +32,7 @@ Begin = Callable[[ObservedRig], None]
 
 @dataclass(frozen=True)
 class Otherwise:
-    """What differs in one state.
-
-    Attributes:
-        names: that it may have there.
-        why: in a sentence.
-        within: as of the fault; its own where left out.
-    """
+    """What differs in one state: its names there, why, and `within` where that differs too."""
 
     names: tuple[str, ...]
     why: str
@@ -50,26 +44,23 @@ class RigFault:
     """Fault of one part of a rig.
 
     Attributes:
-        name: in the table.
-        part: that has it.
+        part, name: in the table.
         begin: sets it in.
         names: reasons or states that the recording may end with; "done" where it may be recorded whole.
         stays: why the probe is not lifted after it; empty where it must be.
         within: how far the probe may go on once it shows, towards or along the skin, beside the stop itself.
         shows: "force" where it shows when the force read differs from the true one, "limit" when the true
             force passes the limit; else it shows at once, or when it says so itself.
-        listed: numbers in the list of faults that the table is made after.
         elsewhere: what differs in some of the states, and why.
     """
 
-    name: str
     part: str
+    name: str
     begin: Begin
     names: tuple[str, ...]
     stays: str = ""
     within: str = AT_ONCE
     shows: str = ""
-    listed: tuple[str, ...] = ()
     elsewhere: Mapping[str, Otherwise] = field(default_factory=dict)
 
     def names_in(self, state: str) -> tuple[str, ...]:
@@ -136,11 +127,23 @@ def raising_once(device: str, method: str, error: Exception) -> Begin:
     return begin
 
 
-def no_number(real: Callable[..., Any], *args: Any) -> Any:
-    """Samples whose normal force is no number."""
-    found = real(*args)
-    spoilt = lambda one: replace(one, force_n=(*one.force_n[:2], math.nan))  # noqa: E731
-    return spoilt(found) if isinstance(found, Wrench) else [spoilt(one) for one in found]
+def sampling(replaced: Callable[..., Any]) -> Begin:
+    """Both ways to read the force sensor do something else from now on."""
+    return both(replacing("force", "drain", replaced), replacing("force", "latest", replaced))
+
+
+def each(change: Callable[[Wrench], Wrench]) -> Callable[..., Any]:
+    """A method whose samples are changed."""
+
+    def replaced(real: Callable[..., Any], *args: Any) -> Any:
+        found = real(*args)
+        return change(found) if isinstance(found, Wrench) else [change(one) for one in found]
+
+    return replaced
+
+
+no_number = each(lambda one: replace(one, force_n=(*one.force_n[:2], math.nan)))
+"""Samples whose normal force is no number."""
 
 
 def drifting_zero(share: float, seconds: float) -> Begin:
@@ -154,17 +157,13 @@ def drifting_zero(share: float, seconds: float) -> Begin:
             done = min(max((one.time_ns - begun_ns) / NS_PER_S / seconds, 0.0), 1.0)
             return replace(one, force_n=(x, y, z + far_n * done))
 
-        def replaced(real: Callable[..., Any], *args: Any) -> Any:
-            found = real(*args)
-            return moved(found) if isinstance(found, Wrench) else [moved(one) for one in found]
-
-        both(replacing("force", "drain", replaced), replacing("force", "latest", replaced))(rig)
+        sampling(each(moved))(rig)
 
     return begin
 
 
-def late_once(seconds: float) -> Begin:
-    """A call of the force sensor that comes back late, once."""
+def late_once(device: str, method: str, seconds: float) -> Begin:
+    """A call that comes back late, once."""
 
     def begin(rig: ObservedRig) -> None:
         left = [seconds]
@@ -174,7 +173,7 @@ def late_once(seconds: float) -> Begin:
                 rig.block(left.pop())
             return real(*args)
 
-        replacing("force", "drain", replaced)(rig)
+        replacing(device, method, replaced)(rig)
 
     return begin
 
@@ -217,7 +216,7 @@ def silent_for(seconds: float) -> Begin:
                 raise DeviceError("the force sensor does not answer")
             return real(*args)
 
-        both(replacing("force", "drain", replaced), replacing("force", "latest", replaced))(rig)
+        sampling(replaced)(rig)
 
     return begin
 
@@ -240,22 +239,6 @@ def stated_stiffness(rig: ObservedRig) -> None:
     """The rig states the stiffness of its skin to 25 %; it counts where the recording is not begun yet."""
     ranges = dict.fromkeys(rig.plan.indenters, law_range(rig.truth, 1.25))
     rig.rig = replace(rig.rig, stiffness=ranges)
-
-
-def stage_late(seconds: float) -> Begin:
-    """A stage whose answer comes late, once."""
-
-    def begin(rig: ObservedRig) -> None:
-        left = [seconds]
-
-        def replaced(real: Callable[..., Any], *args: Any) -> Any:
-            if left:
-                rig.block(left.pop())
-            return real(*args)
-
-        replacing("stage", "moving", replaced)(rig)
-
-    return begin
 
 
 def creeping(rig: ObservedRig) -> None:
@@ -327,23 +310,8 @@ def backward_stamps(rig: ObservedRig) -> None:
     replacing("camera", "drain", drain)(rig)
 
 
-class Patches:
-    """Changes of the process for one recording, undone after it."""
-
-    def __init__(self) -> None:
-        self._begun: list[Any] = []
-
-    def patch(self, owner: Any, name: str, value: Any) -> None:
-        one = mock.patch.object(owner, name, value)
-        one.start()
-        self._begun.append(one)
-
-    def undo(self) -> None:
-        while self._begun:
-            self._begun.pop().stop()
-
-
-PATCHES = Patches()
+PATCHES = ExitStack()
+"""Changes of the process for one recording, undone after it."""
 
 
 def disk_that(error: OSError) -> Begin:
@@ -353,15 +321,13 @@ def disk_that(error: OSError) -> Begin:
         def refusing(self: mcap_file.HeldFile, data: bytes) -> None:
             raise error
 
-        PATCHES.patch(mcap_file.HeldFile, "write", refusing)
+        PATCHES.enter_context(mock.patch.object(mcap_file.HeldFile, "write", refusing))
 
     return begin
 
 
 def slow_disk(rig: ObservedRig) -> None:
     """A disk that takes a twentieth of a second for each write, of the machine's time."""
-    import time
-
     real = mcap_file.HeldFile.write
     left = [20]
 
@@ -371,7 +337,7 @@ def slow_disk(rig: ObservedRig) -> None:
             time.sleep(0.05)
         real(self, data)
 
-    PATCHES.patch(mcap_file.HeldFile, "write", slow)
+    PATCHES.enter_context(mock.patch.object(mcap_file.HeldFile, "write", slow))
 
 
 def operator(command: OperatorCommand) -> Begin:

@@ -1,8 +1,7 @@
 """Faults of a GRBL controller and its line, on the fake of both firmwares."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from tests.rig.fault_matrix.fault_injection import AT_ONCE, NEXT, OPEN, STEP, Otherwise, RigFault
@@ -105,113 +104,48 @@ def commanded(command: OperatorCommand) -> Callable[[GrblRig], None]:
     return lambda rig: rig.control.ask(command)
 
 
+line_fault = partial(RigFault, "line")
+controller_fault = partial(RigFault, "controller")
+other_fault = partial(RigFault, "other")
 GRBL_FAULTS = (
-    RigFault(
-        "every third report damaged", "line", spoilt(garble_every=3), ("done",), within=OPEN, listed=("S13",)
+    line_fault("every third report damaged", spoilt(garble_every=3), ("done",), within=OPEN),
+    line_fault("every third question lost", spoilt(lose_every=3), ("done",), within=OPEN),
+    line_fault("one report in forty late", spoilt(late_every=40, late_s=0.3), ("done",), within=OPEN),
+    line_fault("status in the midst of replies", spoilt(status_in_reply=True), ("done",), within=OPEN),
+    line_fault("every answer twice", spoilt(double_ok=True), ("done",), within=OPEN),
+    line_fault(
+        "answers to moves lost", spoilt(lose_ok_of="$J"), ("stage",), stays="it answers no move", within=NEXT
     ),
-    RigFault("every third question lost", "line", spoilt(lose_every=3), ("done",), within=OPEN),
-    RigFault("one report in forty late", "line", spoilt(late_every=40, late_s=0.3), ("done",), within=OPEN),
-    RigFault(
-        "status in the midst of replies",
-        "line",
-        spoilt(status_in_reply=True),
-        ("done",),
-        within=OPEN,
-        listed=("S3",),
-    ),
-    RigFault("every answer twice", "line", spoilt(double_ok=True), ("done",), within=OPEN, listed=("S4",)),
-    RigFault(
-        "answers to moves lost",
-        "line",
-        spoilt(lose_ok_of="$J"),
-        ("stage",),
-        stays="it answers no move",
-        within=NEXT,
-        listed=("S4",),
-    ),
-    RigFault(
+    line_fault(
         "8-bit noise before every line",
-        "line",
         spoilt(noise=b"\xff\xfe\x80"),
         ("stage",),
         stays="no line of it can be read",
         within=NEXT,
-        listed=("S13",),
     ),
-    RigFault(
-        "hears, and says nothing",
-        "line",
-        spoilt(mute=True),
-        ("stage",),
-        stays=LINE,
-        within=STEP,
-        listed=("S8",),
+    line_fault("hears, and says nothing", spoilt(mute=True), ("stage",), stays=LINE, within=STEP),
+    line_fault("unplugged", unplugged, ("stage",), stays=LINE, within=STEP),
+    line_fault("port refuses to write", refusing_port, ("stage",), stays=LINE, within=STEP),
+    line_fault("port takes a byte too few", short_port, ("stage",), stays=LINE, within=STEP),
+    controller_fault("restarts by itself", restarted(), ("stage",), stays=LOST),
+    controller_fault("restarts without a banner", restarted(no_banner=True), ("stage",), stays=LOST),
+    controller_fault("restarts, and lists its settings", restarted(boot_dump=True), ("stage",), stays=LOST),
+    controller_fault("units and modes left by others", said(b"G20G91\n"), ("done", "stage"), within=OPEN),
+    controller_fault(
+        "soft limit: ALARM:2, then silence", said(b"G21G90G1X500F600\n"), ("stage",), stays=LOST, within=STEP
     ),
-    RigFault("unplugged", "line", unplugged, ("stage",), stays=LINE, within=STEP, listed=("S11", "S12")),
-    RigFault(
-        "port refuses to write", "line", refusing_port, ("stage",), stays=LINE, within=STEP, listed=("S12",)
-    ),
-    RigFault(
-        "port takes a byte too few", "line", short_port, ("stage",), stays=LINE, within=STEP, listed=("S12",)
-    ),
-    RigFault("restarts by itself", "controller", restarted(), ("stage",), stays=LOST, listed=("S1", "S9")),
-    RigFault(
-        "restarts without a banner",
-        "controller",
-        restarted(no_banner=True),
-        ("stage",),
-        stays=LOST,
-        listed=("S1", "S9"),
-    ),
-    RigFault(
-        "restarts, and lists its settings",
-        "controller",
-        restarted(boot_dump=True),
-        ("stage",),
-        stays=LOST,
-        listed=("S2", "S9"),
-    ),
-    RigFault(
-        "units and modes left by others",
-        "controller",
-        said(b"G20G91\n"),
-        ("done", "stage"),
-        within=OPEN,
-        listed=("S10",),
-    ),
-    RigFault(
-        "soft limit: ALARM:2, then silence",
-        "controller",
-        said(b"G21G90G1X500F600\n"),
-        ("stage",),
-        stays=LOST,
-        within=STEP,
-        listed=("S8", "S14"),
-    ),
-    RigFault("hard limit: ALARM:1", "controller", hard_limit, ("stage",), stays=LOST),
-    RigFault(
-        "count jumps by 0.5 mm", "controller", jumped, ("stage",), stays=LOST, within=STEP, listed=("S16",)
-    ),
-    RigFault(
+    controller_fault("hard limit: ALARM:1", hard_limit, ("stage",), stays=LOST),
+    controller_fault("count jumps by 0.5 mm", jumped, ("stage",), stays=LOST, within=STEP),
+    controller_fault(
         "says that it runs, and stands",
-        "controller",
         spoilt(stuck_after_mm=0.0),
         ("stage", "stage-late"),
         stays="it does not move",
         within=STEP,
-        listed=("S17",),
     ),
-    RigFault(
-        "says Idle before a move begins",
-        "controller",
-        spoilt(idle_s=0.02),
-        ("done", "stage"),
-        within=OPEN,
-        listed=("S19",),
-    ),
-    RigFault(
+    controller_fault("says Idle before a move begins", spoilt(idle_s=0.02), ("done", "stage"), within=OPEN),
+    controller_fault(
         "hold by somebody else",
-        "controller",
         said(b"!"),
         ("done", "stage", "hardware-stop"),
         stays="it is held",
@@ -223,42 +157,26 @@ GRBL_FAULTS = (
             )
         },
     ),
-    RigFault("jog cancelled by somebody else", "controller", said(b"\x85"), ("done", "stage"), within=STEP),
-    RigFault(
-        "reset by somebody else", "controller", said(b"\x18"), ("stage",), stays=LOST, listed=("S9", "S10")
+    controller_fault("jog cancelled by somebody else", said(b"\x85"), ("done", "stage"), within=STEP),
+    controller_fault("reset by somebody else", said(b"\x18"), ("stage",), stays=LOST),
+    controller_fault(
+        "put to sleep by somebody else", said(b"$SLP\n"), ("stage", "done"), stays=LOST, within=STEP
     ),
-    RigFault(
-        "put to sleep by somebody else",
-        "controller",
-        said(b"$SLP\n"),
-        ("stage", "done"),
-        stays=LOST,
-        within=STEP,
+    controller_fault("put to check by somebody else", said(b"$C\n"), ("done", "stage"), within=STEP),
+    controller_fault(
+        "door opened, and left open", door_opened, ("hardware-stop",), stays="its door is open", within=STEP
     ),
-    RigFault("put to check by somebody else", "controller", said(b"$C\n"), ("done", "stage"), within=STEP),
-    RigFault(
-        "door opened, and left open",
-        "controller",
-        door_opened,
-        ("hardware-stop",),
-        stays="its door is open",
-        within=STEP,
-    ),
-    RigFault(
+    controller_fault(
         "drops jog cancels, and is aborted",
-        "controller",
         deaf_and_aborted,
         ("aborted", "stage"),
         stays="it does not stop",
         within=STEP,
     ),
-    RigFault("force sensor does not answer", "other", force_gone, ("force-sensor",), within=AT_ONCE),
-    RigFault(
-        "abort", "other", commanded(OperatorCommand.ABORT), ("aborted",), within=AT_ONCE, listed=("S20",)
-    ),
-    RigFault(
+    other_fault("force sensor does not answer", force_gone, ("force-sensor",), within=AT_ONCE),
+    other_fault("abort", commanded(OperatorCommand.ABORT), ("aborted",), within=AT_ONCE),
+    other_fault(
         "emergency stop",
-        "other",
         commanded(OperatorCommand.ESTOP),
         ("e-stopped",),
         stays="emergency stop",

@@ -163,12 +163,12 @@ class GrblRig(ObservedRig):
     def __init__(self, plan: StepHold, seed: int, firmware: str) -> None:
         super().__init__(plan, seed)
         self._stack = ExitStack()
-        self.clock = SkippingClock(self.clock.now_ns())  # type: ignore[assignment]
+        self.clock = SkippingClock(self.clock.now_ns())
         self.truth.clock = self.clock
         self.control._clock = self.clock
         model = GrblParameters(firmware=firmware, homed=True, latency_s=LATENCY_S)
         self.firmware = LoggedFirmware(model, GrblFaults(), self.clock.now_ns() / NS_PER_S)
-        self.terminal = DirectPort(self.firmware, self.clock)  # type: ignore[arg-type]
+        self.terminal = DirectPort(self.firmware, self.clock)
         spec = GrblSpec(
             "fake", latency_s=STATED_S, boot_s=0.05, reply_s=1.0, status_s=0.02, silence_s=1.0,
             least_m=(-0.03,) * 3, greatest_m=(0.03, 0.03, 0.012),

@@ -1,7 +1,5 @@
 """One cell of the matrix: a recording into which one fault comes in one state, and its resumption."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
@@ -27,7 +25,7 @@ from tests.rig.fault_matrix.grbl_rig import GrblRig
 from tests.rig.fault_matrix.observed_rig import BEGUN_NS, ObservedRig
 from tests.rig.rigs import SPEC
 
-from palpate.core import ManualClock
+from palpate.core import ManualClock, StorageError
 from palpate.recordings import Run
 from palpate.rig import State, record
 from palpate.rig.plans import StepHold
@@ -44,17 +42,15 @@ class Cell:
     """What one fault did in one state.
 
     Attributes:
-        part, fault, state: which cell.
         ended: reason of a failure; else the state of the engine at the end, or the exception.
         seen: what the engine did when it ended.
-        message: of the end.
         stop_mm, bound_mm: way from asking for a stop until the stage truly stood, and v^2/2a + v latency, of
             the stop that comes nearest to its bound; None where none was asked for in motion.
         obeyed: whether the stage said that it stands.
         into_mm, allowed_mm: way towards the skin or along it once the fault shows, and what is allowed; None
             where it is recorded whole, or is no matter of motion.
         height_mm: of the probe over the skin at the end.
-        went_on: ended, held exactly the plan's frames when the same command was given again.
+        went_on: how the same command, given again, ended; empty where it then held exactly the plan's frames.
     """
 
     part: str
@@ -128,20 +124,13 @@ def _recorded(rig: ObservedRig, fault: RigFault, state: EngineState, out: Path) 
         outcome = record(rig.rig, rig.plan, out, control=rig.control, watch=rig.watch)
         ended, message = str(outcome.reason or outcome.state), outcome.message
     except BaseException as e:
-        ended, message = _name_of(e, rig), str(e)
+        ended = "storage" if isinstance(e, StorageError) else type(e).__name__
+        message = str(e)
     finally:
-        PATCHES.undo()
+        PATCHES.close()
     if rig.began_ns is None:
         raise AssertionError(f"the engine never came to {state.name}")
     return measured(rig, fault, state.name, ended, message)
-
-
-def _name_of(error: BaseException, rig: ObservedRig) -> str:
-    from palpate.core import StorageError
-
-    if isinstance(error, StorageError):
-        return "storage"
-    return type(error).__name__
 
 
 def _killed(fault: RigFault, state: EngineState, out: Path, seed: int) -> dict[str, Any]:
@@ -155,7 +144,7 @@ def _killed(fault: RigFault, state: EngineState, out: Path, seed: int) -> dict[s
             def last_words() -> None:
                 os.write(writes, json.dumps(measured(rig, fault, state.name, "killed", "")).encode())
 
-            rig.last_words = last_words  # type: ignore[attr-defined]
+            rig.last_words = last_words
             if state.before:
                 rig.ask_begin()
             record(rig.rig, rig.plan, out, control=rig.control, watch=rig.watch)
@@ -187,25 +176,18 @@ def measured(rig: ObservedRig, fault: RigFault, state: str, ended: str, message:
         into_m = max(rig.unwatched_m, default=0.0)
         allowed_m = allowed_m if rig.unwatched_m else None  # it goes on as planned
     return {
-        "ended": ended,
-        "seen": str(where),
-        "message": message,
-        "stop_mm": nearest and 1e3 * nearest.way_m,
+        "ended": ended, "seen": str(where), "message": message, "stop_mm": nearest and 1e3 * nearest.way_m,
         "bound_mm": nearest and 1e3 * nearest.bound_m(travel.acceleration_m_s2, latency_s),
-        "obeyed": all(one.obeyed for one in stops),
-        "into_mm": None if allowed_m is None else 1e3 * into_m,
+        "obeyed": all(one.obeyed for one in stops), "into_mm": None if allowed_m is None else 1e3 * into_m,
         "allowed_mm": allowed_m and 1e3 * allowed_m,
         "height_mm": 1e3 * (rig.truth._origin[2] - rig.place_m[2]),
-    }
+    }  # fmt: skip
 
 
 def allowed_into_m(rig: ObservedRig, within: str, in_air: bool) -> float | None:
     """Way towards the skin or along it that is allowed once the fault shows [m]; None where none is stated.
 
-    Args:
-        rig: with its limits.
-        within: of the fault.
-        in_air: the way down to the clearance counts, which is faster.
+    Where what happens in the air counts, that is the way down to the clearance, which is faster.
     """
     limits, travel, plan = rig.rig.limits, rig.rig.stage.travel, rig.plan
     assert rig.began_ns is not None
@@ -215,14 +197,9 @@ def allowed_into_m(rig: ObservedRig, within: str, in_air: bool) -> float | None:
     stop_m = travel.overshoot_m(speed)
     deepest_mm = plan.clearance_mm + plan.seek_mm + (min(plan.deepest_mm, 1.0) if plan.taps else 0.0)
     return {
-        AT_ONCE: speed * limits.force_latency_s + stop_m,
-        AGE: speed * limits.age_s + stop_m,
-        TRUST: TRUST_M,
-        STEP: limits.step_m,
-        NEXT: 2 * limits.step_m,
-        SEARCH: deepest_mm * 1e-3,
-        OPEN: None,
-    }[within]
+        AT_ONCE: speed * limits.force_latency_s + stop_m, AGE: speed * limits.age_s + stop_m, TRUST: TRUST_M,
+        STEP: limits.step_m, NEXT: 2 * limits.step_m, SEARCH: deepest_mm * 1e-3, OPEN: None,
+    }[within]  # fmt: skip
 
 
 def faults_of(cell: Cell, fault: RigFault) -> list[str]:

@@ -1,7 +1,5 @@
 """The matrix as a table of numbers and as a page; nothing here runs anything."""
 
-from __future__ import annotations
-
 import csv
 import io
 import re
@@ -19,6 +17,8 @@ from tests.rig.fault_matrix.rig_faults import EVERY_FAULT
 DOCS = Path(__file__).resolve().parents[3] / "docs"
 CSV, PAGE_FILE = DOCS / "images" / "fault-matrix.csv", DOCS / "explanations" / "fault-matrix.md"
 FOLDER = re.compile(r"\S*fault-matrix-\w+/run")  # of the machine that it was measured on
+MEASURED = re.compile(r"<!-- (\w+) -->.*?<!-- /\1 -->", re.DOTALL)
+"""What the page takes from the cells, between two comments of its name."""
 FIRMWARES = ("1.1h", "grblHAL")
 NAMES = tuple(field.name for field in fields(Cell))
 LENGTHS = ("stop_mm", "bound_mm", "into_mm", "allowed_mm", "height_mm")
@@ -94,10 +94,7 @@ def shown(cell: Cell) -> str:
 def table(cells: Sequence[Cell], parts: Sequence[str], faults: Sequence[RigFault]) -> str:
     """The table of some faults, one a row, with the states as columns."""
     found = {key_of(cell): cell for cell in cells}
-    lines = [
-        "| fault | " + " | ".join(state.name for state in STATES) + " |",
-        "|---|" + "---|" * len(STATES),
-    ]
+    lines = ["| fault | " + " | ".join(state.name for state in STATES) + " |", "|---|" + "---|" * len(STATES)]
     for part, fault in zip(parts, faults, strict=True):
         row = [shown(found[part, fault.name, state.name]) for state in STATES]
         lines.append(f"| {fault.part}: {fault.name} | " + " | ".join(row) + " |")
@@ -105,7 +102,7 @@ def table(cells: Sequence[Cell], parts: Sequence[str], faults: Sequence[RigFault
 
 
 def page(cells: Sequence[Cell]) -> str:
-    """The page of the matrix."""
+    """The page of the matrix as it is, with what was measured put in anew."""
     virtual = [cell for cell in cells if "," not in cell.part]
     grbl = [cell for cell in cells if "," in cell.part]
     tables = [
@@ -113,21 +110,25 @@ def page(cells: Sequence[Cell]) -> str:
         + table(grbl, [f"{fault.part}, {firmware}" for fault in GRBL_FAULTS], GRBL_FAULTS)
         for firmware in FIRMWARES
     ]  # fmt: skip
-    return PAGE.format(
-        states=len(STATES),
-        faults=len(EVERY_FAULT),
-        grbl_faults=len(GRBL_FAULTS),
-        cells=len(cells),
-        virtual=len(virtual),
-        grbl=len(grbl),
-        counts=_counts(cells),
-        stops=_stops(cells),
-        table=table(virtual, [fault.part for fault in EVERY_FAULT], EVERY_FAULT),
-        firmwares="\n\n".join(tables),
-        stays=_stays(cells),
-        elsewhere=_elsewhere(),
-        open=", ".join(f"{fault.part}: {fault.name}" for fault in EVERY_FAULT if fault.within == OPEN),
-    )
+    values = {
+        "states": len(STATES),
+        "faults": len(EVERY_FAULT),
+        "grbl_faults": len(GRBL_FAULTS),
+        "cells": len(cells),
+        "counts": _counts(cells),
+        "stops": _stops(cells),
+        "table": _block(table(virtual, [fault.part for fault in EVERY_FAULT], EVERY_FAULT)),
+        "firmwares": _block("\n\n".join(tables)),
+        "stays": _block("| why | cells |\n|---|---|\n" + _stays(cells)),
+        "elsewhere": _block("| fault | in | why |\n|---|---|---|\n" + _elsewhere()),
+        "open": ", ".join(f"{fault.part}: {fault.name}" for fault in EVERY_FAULT if fault.within == OPEN),
+    }
+    text = PAGE_FILE.read_text(encoding="utf-8")
+    return MEASURED.sub(lambda m: f"<!-- {m[1]} -->{values[m[1]]}<!-- /{m[1]} -->", text)
+
+
+def _block(text: str) -> str:
+    return f"\n\n{text}\n\n"
 
 
 def firmware_title(firmware: str) -> str:
@@ -148,7 +149,7 @@ def _counts(cells: Sequence[Cell]) -> str:
 
 def _stops(cells: Sequence[Cell]) -> str:
     stops = [one for one in cells if one.stop_mm is not None and one.bound_mm and one.obeyed]
-    share = max(one.stop_mm / one.bound_mm for one in stops)  # type: ignore[operator]
+    share = max(one.stop_mm / one.bound_mm for one in stops)
     return f"{len(stops)} cells have a stop in motion; the longest came to {100 * share:.0f} % of its bound."
 
 
@@ -168,95 +169,3 @@ def _elsewhere() -> str:
             f"| {fault.part}: {fault.name} | {', '.join(states)} | {why} |" for why, states in whys.items()
         ]
     return "\n".join(rows)
-
-
-PAGE = """# What happens when something fails
-
-Every fault of the list below was let into a recording in every state of the engine, and it was measured
-what the rig did. A tool writes this page (`python tools/rig_fault_matrix.py`), and a test runs all of it
-again. **All devices are simulated: the virtual palm's rig, and the fake of a GRBL controller with the
-driver that drives real ones. Firmware unproven: no real controller has run here**, and what is bounded is
-bounded on these alone. A rig needs a switch that cuts the power.
-
-{faults} faults of the rig in {states} states, and {grbl_faults} of a GRBL stage in the same states on fakes
-of two firmwares, are {cells} cells; none is empty.
-The six rows at the end of the first table, of late, silent and scaled force, were measured after repeated
-presses and the guarded first approach had been added, the others before.
-{counts}
-
-A fault sets in while the engine is in one of these states:
-
-| state | when |
-|---|---|
-| idle | the devices are open, and the recording is not begun |
-| travel | on its way, in the air, to the next place |
-| seek | just above the skin, on its way to contact |
-| press | on its way down, 0.75 mm deep or more |
-| hold | at a stand in the skin, taking frames |
-| slide | on its way aside, in the skin |
-| retreat | on its way up, in the skin |
-| taps | on its way down in a tap that sets the clocks |
-| pause | lifted, waiting for the operator |
-| resume | just told to go on |
-
-## How to read a cell
-
-- `force-stale`: the name with which the recording ended (a reason of the run's events, `aborted`,
-  `e-stopped`, `stopped`, or the exception of a program that was ended). *recorded whole*: nothing ended it,
-  and the run holds the plan; a press that a transient fault interrupted was repeated. *at zero*: in that
-  state it did no harm, and was seen in this later one.
-- **stays**: the probe was not lifted. Everywhere else it hung in the air at the end, above the skin's own
-  surface.
-- *stop*: way from asking for a stop until the stage truly stood [mm], of the stop that came nearest to its
-  bound, v² / 2a + v·latency. On the virtual stage it is counted from the request (0.5 m/s², 4 ms: 0.012 mm
-  at 2 mm/s, 0.48 mm at 20 mm/s), on the fakes from the byte, by the fake's own steps (50 mm/s², 20 ms and a
-  tick of 2 ms: 0.084 mm at 2 mm/s). {stops} No number: nothing was stopped in motion.
-- *on*: way towards the skin or along it from when the fault showed [mm]. A wrong force shows where the
-  newest force read lies five standard deviations off the true one, and 0.2 mm are allowed from there. A
-  sensor that falls silent may cost v·`age_s` and the stop, anything told at once v·`force_latency_s` and
-  the stop, a stage that is gone the move that it was sent, 0.2 mm.
-
-All numbers, with their bounds, are in `docs/images/fault-matrix.csv`.
-
-## The rig
-
-{table}
-
-Guard and recorder are one process here. On a rig whose file names real devices a
-[supervisor](../decisions/0025-a-process-of-its-own-guards.md) guards, and lifts the probe of a programme that
-is killed or stands still as well; tests of its own show that, with processes that are killed and stopped.
-
-No way is bounded, since nothing is pressed by them, for {open}.
-
-## A GRBL stage
-
-Other parts are virtual. Time runs on while an answer is awaited, and sleeps are skipped, so ways differ by
-some micrometres from run to run. On a machine whose cores are all busy, a press on Grbl 1.1 that somebody
-else holds was named `force-dead` in two of three runs: its force stopped rising before the status that
-says so had come.
-
-{firmwares}
-
-## Where the probe stays
-
-| why | cells |
-|---|---|
-{stays}
-
-## Where a fault has another name, or does nothing
-
-| fault | in | why |
-|---|---|---|
-{elsewhere}
-
-## What the list leaves out
-
-Refused before anything moves, or tried elsewhere: a Net F/T's records of a wrong length, repeated, lost or
-from elsewhere, its start that is lost, its pages that lie (`tests/rig/test_netft_faults.py`,
-`test_netft_calibration.py`); a banner that comes late and a machine that is not homed
-(`tests/rig/test_grbl_faults.py`); numbers that a controller would misread; files cut or altered at any byte
-(`tests/recordings`). The driver sends no probing lines, so that probing cannot fail. A zero is never taken
-in contact that the force before can tell; from the first one on it cannot be told, where the skin is
-touched at the clearance by less than 1 N. A stage that creeps without saying so can be
-taken for a force that is dead.
-"""

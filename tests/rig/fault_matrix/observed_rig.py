@@ -6,8 +6,9 @@ Any method of its devices can be replaced while a recording runs, so that a faul
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import takewhile
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,6 @@ from palpate.core import NS_PER_S, ManualClock, Position, Wrench
 from palpate.devices import OperatorCommand, OperatorControl
 from palpate.rig.plans import StepHold
 from palpate.rig.plans.recording_plan import Burst, Depth, Done, PlannedPress, Step, Steps
-from palpate.rig.rig import Rig
 from palpate.rig.run_progress import State, Status
 from palpate.rig.virtual import Variation, virtual_rig
 from palpate.rig.virtual.straight_motion import Motion
@@ -86,13 +86,7 @@ class PatientOperator(OperatorControl):
 
 @dataclass(frozen=True)
 class Stopped:
-    """A stop as it was asked for, and the way until the stage truly stood.
-
-    Attributes:
-        way_m: from asking to the stand.
-        speed_m_s: that the move was sent with.
-        obeyed: the device said that it stands.
-    """
+    """A stop: the way from asking to the true stand, the move's speed, and whether the device obeyed."""
 
     way_m: float
     speed_m_s: float
@@ -121,13 +115,13 @@ class ObservedRig:
     def __init__(self, plan: StepHold, seed: int, begun_ns: int = BEGUN_NS) -> None:
         self.clock = ManualClock(begun_ns)
         self.sound = virtual_rig(Palm(SPEC), clock=self.clock, seed=seed, variation=Variation())
-        self.truth = self.sound.stage._world  # type: ignore[attr-defined]
+        self.truth = self.sound.stage._world
         self.stage = ObservedDevice(self.sound.stage, lambda name: self._called("stage", name))
         self.force = ObservedDevice(self.sound.force, lambda name: self._called("force", name))
         self.camera = ObservedDevice(self.sound.camera, lambda name: self._called("camera", name))
         self.stage.replaced["stop"] = self._stopping
         self.force.replaced["drain"] = self._draining
-        self.rig = _with(self.sound, stage=self.stage, force=self.force, camera=self.camera)
+        self.rig = replace(self.sound, stage=self.stage, force=self.force, camera=self.camera)
         self.control = PatientOperator(self.clock)
         self.plan = ToldPlan(**plan.model_dump()).telling(self._stepped)
         self.due: Callable[[ObservedRig, str], bool] = lambda rig, call: False
@@ -176,7 +170,6 @@ class ObservedRig:
 
     @property
     def is_moving(self) -> bool:
-        """Whether the stage truly moves."""
         return self.ends_m[0] != self.ends_m[1]
 
     @property
@@ -306,29 +299,12 @@ class ObservedRig:
             self.stops[at] = (self.stops[at][0], Stopped(way_m, speed if moved else 0.0, obeyed))
 
     def _draining(self, real: Callable[[], list[Wrench]]) -> list[Wrench]:
-        samples = real()
-        self.note_read(samples)
-        return samples
-
-    def note_read(self, samples: list[Wrench]) -> None:
-        """Keep what the engine was given, and the truth of the last seconds."""
-        now_ns = self.clock.now_ns()
+        samples, now_ns = real(), self.clock.now_ns()
         self.read += [(now_ns, one) for one in samples]
         self._note_touches()
+        return samples
 
     def _note_touches(self) -> None:
         last = self.touches[-1].time_s if self.touches else -math.inf
-        self.touches += reversed(list(_newer(self.truth.touches, last)))
-
-
-def _newer(touches: Any, than_s: float) -> Iterator[Any]:
-    for touch in reversed(touches):
-        if touch.time_s <= than_s:
-            return
-        yield touch
-
-
-def _with(rig: Rig, **devices: Any) -> Rig:
-    from dataclasses import replace
-
-    return replace(rig, **devices)
+        newer = takewhile(lambda touch: touch.time_s > last, reversed(self.truth.touches))
+        self.touches += reversed(list(newer))

@@ -4,7 +4,7 @@ Each says how it sets in, what it may be called, whether motion is still possibl
 probe may go on into or along the skin once it shows.
 """
 
-from __future__ import annotations
+from functools import partial
 
 from tests.rig.fault_matrix.fault_injection import (
     AGE,
@@ -36,10 +36,10 @@ from tests.rig.fault_matrix.fault_injection import (
     raising,
     raising_once,
     replacing,
+    sampling,
     silent_for,
     slipping,
     slow_disk,
-    stage_late,
     stated_stiffness,
     withheld_once,
 )
@@ -50,29 +50,21 @@ from palpate.devices import OperatorCommand
 GONE = "the stage is gone"
 NOT_JUDGED = "at a pause nothing moves, and no sample is judged"
 NUMB = "before contact a hum that feels nothing is as a skin that is not there"
+force_fault = partial(RigFault, "force")
+stage_fault = partial(RigFault, "stage")
+camera_fault = partial(RigFault, "camera")
+disk_fault = partial(RigFault, "disk")
+operator_fault = partial(RigFault, "operator")
+programme_fault = partial(RigFault, "programme")
+skin_fault = partial(RigFault, "skin")
 FAULTS = (
-    RigFault(
-        "no sample any more",
-        "force",
-        of_kind("force-stalls"),
-        ("force-stale",),
-        within=AGE,
-        listed=("F1", "F8", "F11", "G4"),
-    ),
-    RigFault("does not answer", "force", of_kind("force-gone"), ("force-sensor",), listed=("F5", "F7", "G4")),
-    RigFault(
-        "saturates, or any fault bit",
-        "force",
-        of_kind("force-saturates"),
-        ("force-fault",),
-        listed=("F6", "F14"),
-    ),
-    RigFault(
+    force_fault("no sample any more", of_kind("force-stalls"), ("force-stale",), within=AGE),
+    force_fault("does not answer", of_kind("force-gone"), ("force-sensor",)),
+    force_fault("saturates, or any fault bit", of_kind("force-saturates"), ("force-fault",)),
+    force_fault(
         "one sample of 1000 N",
-        "force",
         of_kind("force-spike"),
         ("force-limit",),
-        listed=("F14",),
         elsewhere={
             "idle": Otherwise(("force-noise",), "it falls into the air check of the first approach"),
             "travel": Otherwise(("force-limit", "touched-early"), "in the air any rise by 1 N is a touch"),
@@ -80,41 +72,24 @@ FAULTS = (
             "resume": Otherwise(("force-noise", "force-limit"), "it falls into the zero"),
         },
     ),
-    RigFault(
+    force_fault(
         "a hundred times the noise",
-        "force",
         of_kind("force-noisy"),
         ("force-noise",),
-        listed=("F12",),
         elsewhere={
             "idle": Otherwise(
                 ("touched-early", "force-noise"), "before the first zero nobody knows the noise", OPEN
             )
         },
     ),
-    RigFault(
-        "reversed",
-        "force",
-        of_kind("force-reversed"),
-        ("force-reversed",),
-        within=TRUST,
-        shows="force",
-        listed=("F12",),
-    ),
-    RigFault(
-        "stuck",
-        "force",
-        of_kind("force-stuck"),
-        ("force-stuck",),
-        within=TRUST,
-        shows="force",
-        listed=("F4",),
+    force_fault("reversed", of_kind("force-reversed"), ("force-reversed",), within=TRUST, shows="force"),
+    force_fault(
+        "stuck", of_kind("force-stuck"), ("force-stuck",), within=TRUST, shows="force",
         elsewhere={"idle": Otherwise(("force-dead",), "it never showed noise in this run")},
     ),
-    RigFault("dead, all zero", "force", of_kind("force-dead"), ("force-dead",), within=TRUST, shows="force"),
-    RigFault(
+    force_fault("dead, all zero", of_kind("force-dead"), ("force-dead",), within=TRUST, shows="force"),
+    force_fault(
         "noise that follows nothing",
-        "force",
         of_kind("force-numb"),
         ("force-dead",),
         within=TRUST,
@@ -127,14 +102,12 @@ FAULTS = (
             "slide": Otherwise(("force-dead",), "at one depth nothing says what the force should be", SEARCH),
         },
     ),
-    RigFault(
+    force_fault(
         "scaled to a tenth",
-        "force",
         of_kind("force-scaled"),
         ("force-scaled",),
         within=TRUST,
         shows="force",
-        listed=("F7",),
         elsewhere={
             "idle": Otherwise(("done",), "not seen: a known weight tells", OPEN),
             **dict.fromkeys(
@@ -143,126 +116,62 @@ FAULTS = (
             ),
         },
     ),
-    RigFault(
+    force_fault(
         "bursts of 80 ms",
-        "force",
         of_kind("force-held-back"),
         ("force-late",),
         within=TRUST,
         shows="force",
-        listed=("F3",),
         elsewhere=dict.fromkeys(
             ("hold", "slide"), Otherwise(("force-late", "force-stale"), "a frame has no force near it")
         ),
     ),
-    RigFault(
-        "a tenth of its rate",
-        "force",
-        of_kind("force-slow"),
-        ("force-slow",),
-        within=TRUST,
-        shows="force",
-        listed=("F3",),
-    ),
-    RigFault(
-        "NaN",
-        "force",
-        both(replacing("force", "drain", no_number), replacing("force", "latest", no_number)),
-        ("force-fault",),
-        listed=("F2",),
-    ),
-    RigFault(
-        "driver raises",
-        "force",
-        both(
-            replacing("force", "drain", raising(KeyError("Fz"))),
-            replacing("force", "latest", raising(KeyError("Fz"))),
-        ),
-        ("force-sensor",),
-        listed=("F2", "F10"),
-    ),
-    RigFault("call blocks for 1 s", "force", late_once(1.0), ("done",), within=STEP),
-    RigFault(
-        "does not answer",
-        "stage",
-        of_kind("stage-gone"),
-        ("stage",),
-        stays=GONE,
-        within=STEP,
-        listed=("S11", "S12"),
-    ),
-    RigFault(
+    force_fault("a tenth of its rate", of_kind("force-slow"), ("force-slow",), within=TRUST, shows="force"),
+    force_fault("NaN", sampling(no_number), ("force-fault",)),
+    force_fault("driver raises", sampling(raising(KeyError("Fz"))), ("force-sensor",)),
+    force_fault("call blocks for 1 s", late_once("force", "drain", 1.0), ("done",), within=STEP),
+    stage_fault("does not answer", of_kind("stage-gone"), ("stage",), stays=GONE, within=STEP),
+    stage_fault(
         "says that it moves, and stands",
-        "stage",
         of_kind("stage-stuck"),
         ("stage", "stage-late"),
         stays="it takes no move",
         within=STEP,
-        listed=("S17",),
     ),
-    RigFault("loses 0.1 mm of every move", "stage", slipping, ("stage",), within=STEP, listed=("S16",)),
-    RigFault("count jumps by 0.5 mm", "stage", jumped, ("stage",), within=STEP, listed=("S16",)),
-    RigFault(
+    stage_fault("loses 0.1 mm of every move", slipping, ("stage",), within=STEP),
+    stage_fault("count jumps by 0.5 mm", jumped, ("stage",), within=STEP),
+    stage_fault(
         "does not stop when told to",
-        "stage",
         deaf_and_stalled,
         ("stage", "force-sensor"),
         stays="it does not stop",
         within=STEP,
     ),
-    RigFault("a hundredth of its speed", "stage", creeping, ("stage-late", "force-dead"), within=OPEN),
-    RigFault("answer 1 s late, once", "stage", stage_late(1.0), ("done",), within=STEP),
-    RigFault(
+    stage_fault("a hundredth of its speed", creeping, ("stage-late", "force-dead"), within=OPEN),
+    stage_fault("answer 1 s late, once", late_once("stage", "moving", 1.0), ("done",), within=STEP),
+    stage_fault(
         "no answer, once",
-        "stage",
         raising_once("stage", "moving", DeviceError("the stage has not answered")),
         ("stage",),
     ),
-    RigFault("driver raises, once", "stage", raising_once("stage", "moving", ValueError("odd")), ("stage",)),
-    RigFault(
+    stage_fault("driver raises, once", raising_once("stage", "moving", ValueError("odd")), ("stage",)),
+    stage_fault(
         "refuses every move",
-        "stage",
         replacing("stage", "move_to", raising(DeviceError("the stage refuses to move"))),
         ("stage",),
         stays="it refuses to move",
         within=STEP,
     ),
-    RigFault("does not answer", "camera", of_kind("camera-gone"), ("camera",), within=OPEN, listed=("C5",)),
-    RigFault(
-        "same frame again and again",
-        "camera",
-        of_kind("camera-frozen"),
-        ("camera", "clocks"),
-        within=OPEN,
-        listed=("C1",),
-    ),
-    RigFault(
-        "frames of another size",
-        "camera",
-        of_kind("camera-resized"),
-        ("camera",),
-        within=OPEN,
-        listed=("C3",),
-    ),
-    RigFault(
-        "no frame any more", "camera", of_kind("camera-stalls"), ("camera",), within=OPEN, listed=("C1",)
-    ),
-    RigFault(
-        "every other frame lost", "camera", of_kind("camera-drops"), ("done",), within=OPEN, listed=("C1",)
-    ),
-    RigFault("frames 1.5 s late", "camera", late_frames(1.5), ("done", "camera"), within=OPEN),
-    RigFault("frames 3 s late", "camera", late_frames(3.0), ("camera",), within=OPEN),
-    RigFault(
-        "stamps run backwards",
-        "camera",
-        backward_stamps,
-        ("camera", "force-stale", "clocks"),
-        within=OPEN,
-        listed=("C2",),
-    ),
-    RigFault(
+    camera_fault("does not answer", of_kind("camera-gone"), ("camera",), within=OPEN),
+    camera_fault("same frame again and again", of_kind("camera-frozen"), ("camera", "clocks"), within=OPEN),
+    camera_fault("frames of another size", of_kind("camera-resized"), ("camera",), within=OPEN),
+    camera_fault("no frame any more", of_kind("camera-stalls"), ("camera",), within=OPEN),
+    camera_fault("every other frame lost", of_kind("camera-drops"), ("done",), within=OPEN),
+    camera_fault("frames 1.5 s late", late_frames(1.5), ("done", "camera"), within=OPEN),
+    camera_fault("frames 3 s late", late_frames(3.0), ("camera",), within=OPEN),
+    camera_fault("stamps run backwards", backward_stamps, ("camera", "force-stale", "clocks"), within=OPEN),
+    camera_fault(
         "driver raises",
-        "camera",
         both(
             replacing("camera", "grab", raising(RuntimeError("usb"))),
             replacing("camera", "drain", raising(RuntimeError("usb"))),
@@ -270,66 +179,31 @@ FAULTS = (
         ("camera",),
         within=OPEN,
     ),
-    RigFault(
-        "full",
-        "disk",
-        disk_that(OSError(28, "No space left on device")),
-        ("storage",),
-        within=OPEN,
-        listed=("D1",),
+    disk_fault("full", disk_that(OSError(28, "No space left on device")), ("storage",), within=OPEN),
+    disk_fault("input/output error", disk_that(OSError(5, "Input/output error")), ("storage",), within=OPEN),
+    disk_fault("slow", slow_disk, ("done",), within=OPEN),
+    operator_fault("pause", operator(OperatorCommand.PAUSE), ("done",)),
+    operator_fault("stop", operator(OperatorCommand.STOP), ("stopped", "done"), within=OPEN),
+    operator_fault("abort, Ctrl-C", operator(OperatorCommand.ABORT), ("aborted",)),
+    operator_fault("emergency stop", operator(OperatorCommand.ESTOP), ("e-stopped",), stays="emergency stop"),
+    programme_fault("KeyboardInterrupt in any call", interrupted, ("KeyboardInterrupt",)),
+    programme_fault("who watches raises", failing_watcher, ("LookupError",), within=OPEN),
+    programme_fault(
+        "killed (kill -9)", killed, ("killed",), stays="nothing is left that could move it", within=STEP
     ),
-    RigFault(
-        "input/output error",
-        "disk",
-        disk_that(OSError(5, "Input/output error")),
-        ("storage",),
-        within=OPEN,
-        listed=("D1",),
-    ),
-    RigFault("slow", "disk", slow_disk, ("done",), within=OPEN, listed=("C4",)),
-    RigFault("pause", "operator", operator(OperatorCommand.PAUSE), ("done",)),
-    RigFault("stop", "operator", operator(OperatorCommand.STOP), ("stopped", "done"), within=OPEN),
-    RigFault("abort, Ctrl-C", "operator", operator(OperatorCommand.ABORT), ("aborted",), listed=("S20",)),
-    RigFault(
-        "emergency stop", "operator", operator(OperatorCommand.ESTOP), ("e-stopped",), stays="emergency stop"
-    ),
-    RigFault(
-        "KeyboardInterrupt in any call", "programme", interrupted, ("KeyboardInterrupt",), listed=("S20",)
-    ),
-    RigFault("who watches raises", "programme", failing_watcher, ("LookupError",), within=OPEN),
-    RigFault(
-        "killed (kill -9)",
-        "programme",
-        killed,
-        ("killed",),
-        stays="nothing is left that could move it",
-        within=STEP,
-        listed=("D2",),
-    ),
-    RigFault(
+    programme_fault(
         "stands still for 5 s",
-        "programme",
         computer_stands_still,
         ("done",),
         within=STEP,
-        listed=("G5",),
         elsewhere={"hold": Otherwise(("done", "force-stale"), "a frame has no force near it")},
     ),
-    RigFault(
-        "nothing to touch",
-        "skin",
-        of_kind("layer-gone"),
-        ("no-contact", "force-dead"),
-        within=SEARCH,
-        listed=("G1",),
-    ),
-    RigFault(
+    skin_fault("nothing to touch", of_kind("layer-gone"), ("no-contact", "force-dead"), within=SEARCH),
+    skin_fault(
         "twenty times as stiff",
-        "skin",
         harder_skin,
         ("force-implausible", "force-limit", "force-rate"),
         shows="limit",
-        listed=("G2",),
         elsewhere={
             "idle": Otherwise(("done",), "such a skin is as good as any"),
             "taps": Otherwise(
@@ -338,22 +212,19 @@ FAULTS = (
             ),
         },
     ),
-    RigFault(
+    skin_fault(
         "1.5 mm higher: contact at the clearance",
-        "skin",
         raised_skin,
         ("touched-early", "force-implausible", "force-limit", "force-rate"),
         within=TRUST,
-        listed=("G3",),
         elsewhere={
             "taps": Otherwise(
                 ("force-implausible", "touched-early", "clocks"), "a tap is then too short for the camera"
             )
         },
     ),
-    RigFault(
+    force_fault(
         "zero moves by 2 % of the limit in 1 s",
-        "force",
         drifting_zero(0.02, 1.0),
         ("force-drift",),
         within=OPEN,
@@ -366,16 +237,15 @@ FAULTS = (
             ),
         },
     ),
-)
+)  # fmt: skip
 """Faults that end a recording, in the order of the table's rows."""
 
 RECOVERY_FAULTS = (
-    RigFault("samples 45 ms late, once", "force", withheld_once(0.045), ("done",), within=OPEN),
-    RigFault("no sample for 0.2 s", "force", withheld_once(0.2, lost=True), ("done",), within=OPEN),
-    RigFault("does not answer for 0.5 s", "force", silent_for(0.5), ("done",), within=OPEN),
-    RigFault(
+    force_fault("samples 45 ms late, once", withheld_once(0.045), ("done",), within=OPEN),
+    force_fault("no sample for 0.2 s", withheld_once(0.2, lost=True), ("done",), within=OPEN),
+    force_fault("does not answer for 0.5 s", silent_for(0.5), ("done",), within=OPEN),
+    force_fault(
         "100 ms late, with current timestamps",
-        "force",
         altered(delay_s=0.1),
         ("force-lag", "force-dead"),
         within=OPEN,
@@ -387,9 +257,8 @@ RECOVERY_FAULTS = (
             ),
         ),
     ),
-    RigFault(
+    force_fault(
         "1.8 times the gain, stiffness stated",
-        "force",
         both(stated_stiffness, altered(gain=1.8)),
         ("force-scaled",),
         within=TRUST,
@@ -402,9 +271,8 @@ RECOVERY_FAULTS = (
             ),
         },
     ),
-    RigFault(
+    force_fault(
         "half the gain, stiffness stated",
-        "force",
         both(stated_stiffness, altered(gain=0.5)),
         ("force-scaled",),
         within=TRUST,
