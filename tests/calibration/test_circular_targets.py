@@ -47,7 +47,7 @@ PLAN = CalibrationPlan(
 @pytest.fixture(scope="module")
 def edges(tmp_path_factory):
     folder = tmp_path_factory.mktemp("edges")
-    run = record_edges(folder / "run", 400)
+    run = record_edges(folder / "run", 240)
     calibrate(run, PLAN, folder / "cal")
     return folder, run
 
