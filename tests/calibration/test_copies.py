@@ -14,7 +14,6 @@ from palpate.estimators import Estimator, read_card
 from palpate.estimators.certified import check_files
 from palpate.estimators.guard import CopyDiscriminator
 
-
 pytestmark = pytest.mark.usefixtures("changes_untried")
 
 
