@@ -33,7 +33,7 @@ ONE_PALM = PressLaw(
 """What a recording has: one palm, whose lamp varies a little."""
 
 
-UNSTRAINED = PressLaw(copies=6, residual=NONE, frozen=NONE)
+UNSTRAINED = PressLaw(copies=3, residual=NONE, frozen=NONE)
 """Palms that differ in all but what is frozen into them, which takes eight pictures of a depth for one."""
 
 
@@ -41,7 +41,7 @@ UNSTRAINED = PressLaw(copies=6, residual=NONE, frozen=NONE)
 def few_pictures():
     """Fewer depths for some hundred presses to share, none with residual birefringence."""
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(random_presses, "DEPTHS", 12)
+        patched.setattr(random_presses, "DEPTHS", 6)
         patched.setattr(palm_compact, "draw_presses", partial(draw_presses, law=UNSTRAINED))
         yield
 
