@@ -112,7 +112,7 @@ class Pad:
             "kind": "stepped",
             "name": "pad",
             "places": {"kind": "listed", "at_mm": [[0.0, 0.0]]},
-            "cycles": 4,
+            "cycles": 3,
             "depth_mm": 0.6,
             "step_mm": 0.2,
             "frames": 2,
