@@ -65,7 +65,7 @@ def data(recorded):
 
 @pytest.fixture(scope="module")
 def fitted(data):
-    recipe = PalmCompact(rendered=24, epochs=10, batch=12)
+    recipe = PalmCompact(rendered=24, epochs=7, batch=12)
     return recipe.fit(data, np.arange(64), seed=0)
 
 
