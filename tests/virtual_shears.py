@@ -56,7 +56,7 @@ def levels(copy: str, tip: str, low_n: float, high_n: float, shift: float = 0.0,
     """Depths [m] at forces in even steps, and the forces [N]."""
     sensor = VirtualPad(copy).sensor
     probe = sensor.probe(tip)
-    depth = np.linspace(0.02, 1.0, 30) * sensor.known_depth_m(probe)
+    depth = np.linspace(0.02, 1.0, 16) * sensor.known_depth_m(probe)
     force = np.array([sensor.press(probe, Pose(0.0, 0.0, float(d))).force_n for d in depth])
     wanted = low_n + (high_n - low_n) * (np.arange(count) + shift) / (count - 1 + shift)
     return np.interp(wanted, force, depth)

@@ -61,13 +61,14 @@ def maes(folder: Path, run: Run) -> np.ndarray:
 
 def test_an_affine_copy_is_recovered_to_noise_from_ten_presses(original, record_spots, tmp_path) -> None:
     copy = relabelled(record_spots("few", 10, seed=1), tmp_path / "copy", affine)
-    fresh = record_spots("fresh", 12, seed=2)
+    fresh = record_spots("fresh", 8, seed=2)
     other = relabelled(fresh, tmp_path / "other", affine)
     before, own = maes(original, other), maes(original, fresh)
     card = adapt(original, copy, tmp_path / "adapted")
+    after = maes(tmp_path / "adapted", other)
     # What the network errs on its own sensor, stretched as the copy is, and a quarter for ten presses.
-    assert (maes(tmp_path / "adapted", other) < 1.25 * own * [1.2, 0.8] + 0.01).all()
-    assert (maes(tmp_path / "adapted", other) < before / 3).all()
+    assert (after < 1.25 * own * [1.2, 0.8] + 0.01).all()
+    assert (after < before / 3).all()
     assert card.adapted_from == read_card(original).id
     assert card.split.kind == "leave-one-out:press"
     assert (card.split.groups, card.split.rows_scored) == (10, 50)
@@ -149,14 +150,14 @@ def pressed(rng: np.random.Generator, presses: int, rows: int = 8) -> tuple[np.n
 def test_intervals_cover_fresh_presses_at_their_rate() -> None:
     rng, rates = np.random.default_rng(0), []
     for presses in (10, 20):
-        for _ in range(6):
+        for _ in range(4):
             true, seen, press = pressed(rng, presses)
             adapted = correct(seen, true, press, Correction.none(*FROM_ZERO, seen))
             intervals = intervals_of_presses(adapted.held_out, true, press, 0.9)
             fresh, fresh_seen, _ = pressed(rng, 50)
             said = adapted.correction.at(fresh_seen)
             rates.append((np.abs(said - fresh) <= intervals.half_widths(said)).mean())
-    # One calibration's rate scatters by 4 %, the mean of 12 by 1.2 %. More than promised is allowed: each
+    # One calibration's rate scatters by 4 %, the mean of 8 by 1.4 %. More than promised is allowed: each
     # press left out takes a tenth or a twentieth of what there is to learn from.
     assert 0.88 < np.mean(rates) < 0.98
 

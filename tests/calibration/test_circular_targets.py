@@ -47,7 +47,7 @@ PLAN = CalibrationPlan(
 @pytest.fixture(scope="module")
 def edges(tmp_path_factory):
     folder = tmp_path_factory.mktemp("edges")
-    run = record_edges(folder / "run", 400)
+    run = record_edges(folder / "run", 180)
     calibrate(run, PLAN, folder / "cal")
     return folder, run
 
@@ -83,11 +83,11 @@ def test_a_copy_that_is_mounted_turned_is_corrected_by_directions(edges, tmp_pat
     assert change["mae_before"] == pytest.approx(25, abs=1.5)
     assert change["mae_after"] < 4
     assert card.targets[1].period == 360
-    fresh = record_edges(tmp_path / "fresh", 100, seed=3, shift=25.0)
+    fresh = record_edges(tmp_path / "fresh", 60, seed=3, shift=25.0)
     found = evaluate(Estimator.open(tmp_path / "adapted"), fresh)["targets"]["angle_deg"]
     assert found["mae"] < 5
-    # 40 presses set the intervals, 100 rows test them: three standard errors of both.
-    assert found["coverage_90"] > 0.9 - 3 * (0.09 / 40 + 0.09 / 100) ** 0.5
+    # 40 presses set the intervals, 60 rows test them: three standard errors of both.
+    assert found["coverage_90"] > 0.9 - 3 * (0.09 / 40 + 0.09 / 60) ** 0.5
 
 
 def test_circular_scores_are_of_the_shortest_way_round() -> None:

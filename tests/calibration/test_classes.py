@@ -41,11 +41,11 @@ def rates(members: np.ndarray, codes: np.ndarray) -> list[float]:
 
 
 def test_sets_hold_each_class_at_the_stated_rate() -> None:
-    """300 random splits; one threshold for all classes is the negative control: it covers the rare less."""
+    """100 random splits; one threshold for all classes is the negative control: it covers the rare less."""
     rng = np.random.default_rng(0)
     outputs, codes, _ = world(rng, 2400, 1)
     own, one_for_all = [], []
-    for _ in range(300):
+    for _ in range(100):
         order = rng.permutation(len(codes))
         fit, new = order[:1200], order[1200:]
         thresholds = fit_thresholds(outputs[fit], codes[fit], fit, 0.9)
@@ -60,7 +60,7 @@ def test_sets_hold_each_class_at_the_stated_rate() -> None:
 def test_sets_hold_each_class_of_new_presses_whose_rows_err_alike() -> None:
     """With rows taken as independent, the negative control, twelve presses of a class promise too much."""
     grouped, row_by_row = [], []
-    for seed in range(200):
+    for seed in range(100):
         rng = np.random.default_rng(seed)
         codes = np.repeat([0, 1, 2], 12 * 6)
         groups = np.repeat(np.arange(36), 6)
@@ -133,13 +133,13 @@ def record_blobs(path, presses: int, *, seed: int = 0, kinds=SHARES, kind=None, 
 
 
 NAMES = {"kind": ("small", "middle", "large"), "wide": ()}
-PLAN = CalibrationPlan(("x_mm",), model="pca-ridge", split="group:press", size_px=(24, 24), classes=NAMES)
+PLAN = CalibrationPlan(("x_mm",), model="pca-ridge", split="group:press", size_px=(16, 16), classes=NAMES)
 
 
 @pytest.fixture(scope="module")
 def blobs(tmp_path_factory):
     folder = tmp_path_factory.mktemp("blobs")
-    run = record_blobs(folder / "run", 160, kinds=(0.6, 0.25, 0.15))
+    run = record_blobs(folder / "run", 80, kinds=(0.6, 0.25, 0.15))
     calibrate(run, PLAN, folder / "cal")
     return folder, run
 
@@ -152,7 +152,7 @@ def test_classes_are_read_beside_quantities_and_hold_in_fresh_presses(blobs, tmp
     assert (kind.values, kind.names) == (("1", "2", "3"), NAMES["kind"])
     assert wide.names == ("false", "true")
     assert kind.score.accuracy_low > kind.score.baseline
-    assert sum(map(sum, kind.score.confusion)) == kind.score.n == 480
+    assert sum(map(sum, kind.score.confusion)) == kind.score.n == 240
     found = evaluate(Estimator.open(folder / "cal"), fresh)
     assert set(found["targets"]) == {"x_mm"}
     for one in found["classes"].values():
@@ -164,11 +164,11 @@ def test_classes_are_read_beside_quantities_and_hold_in_fresh_presses(blobs, tmp
 def test_a_reading_is_the_cards_sets_of_the_networks_outputs(blobs) -> None:
     folder, run = blobs
     estimator = Estimator.open(folder / "cal")
-    prepared = np.stack([estimator.card.input.preparation.apply(run.frame(i).image) for i in range(30)])
+    prepared = np.stack([estimator.card.input.preparation.apply(run.frame(i).image) for i in range(10)])
     outputs = estimator.values(prepared.astype(np.float32).transpose(0, 3, 1, 2))
-    assert outputs.shape == (30, 1 + 3 + 2)
+    assert outputs.shape == (10, 1 + 3 + 2)
     kind, wide = estimator.card.classes
-    for i in range(30):
+    for i in range(10):
         readings = estimator.read(run.frame(i))
         for card, part in ((kind, outputs[i, 1:4]), (wide, outputs[i, 4:6])):
             one = readings[card.column]
@@ -205,7 +205,9 @@ def test_a_reading_is_valid_where_its_set_rules_something_out(blobs, outputs, va
 
 
 def plan_of(**changes) -> CalibrationPlan:
-    return CalibrationPlan(**({"targets": ("x_mm",), "model": "mean", "split": "group:press"} | changes))
+    return CalibrationPlan(
+        **({"targets": ("x_mm",), "model": "mean", "split": "group:press", "size_px": (8, 8)} | changes)
+    )
 
 
 @pytest.mark.parametrize(
@@ -221,9 +223,9 @@ def test_one_class_written_in_two_ways_is_refused(cells) -> None:
 def test_what_is_no_class_is_refused(blobs, tmp_path) -> None:
     _, run = blobs
     out = tmp_path / "cal"
-    with refused("many-classes", LabelError, "480"):
+    with refused("many-classes", LabelError, "240"):
         calibrate(run, plan_of(targets=("angle_deg",), classes={"x_mm": ()}), out)
-    with refused("many-classes", LabelError, "160"):
+    with refused("many-classes", LabelError, "80"):
         calibrate(run, plan_of(classes={"press": ()}), out)
     with pytest.raises(LabelError, match="colour"):
         calibrate(run, plan_of(classes={"colour": ()}), out)
@@ -273,7 +275,7 @@ def test_a_class_that_is_held_too_seldom_is_named_and_one_that_is_not_is_left_al
 
 def test_a_class_that_was_not_calibrated_is_named_and_refused(blobs, tmp_path) -> None:
     _, run = blobs
-    two = record_blobs(tmp_path / "two", 40, kinds=(0.5, 0.5, 0.0))
+    two = record_blobs(tmp_path / "two", 12, kinds=(0.5, 0.5, 0.0))
     calibrate(two, plan_of(classes={"object": ()}), tmp_path / "cal")
     with refused("unknown-class", LabelError, "object"):
         evaluate(Estimator.open(tmp_path / "cal"), run)

@@ -12,20 +12,22 @@ from palpate.calibration.compliance.compliance_calibration import (
     calibrate_compliance,
 )
 from palpate.calibration.compliance.compliance_reading import read_touch
+from palpate.calibration.compliance.cue_agreement import CueMisfit
+from palpate.calibration.compliance.press_verdict import drift_of, press_reasons
 from palpate.core.errors import CertificateError, ExistsError, InputError, RangeError, StorageError
 from palpate.core.refusal import ReasonCode
 from palpate.sensors.tactip import tactip
 from palpate.sensors.tactip.tactip_press import modulus_pa
 from palpate.sensors.tactip.tactip_sensor import TacTip
 
-TRIALS = 3
+AGREE = CueMisfit(0.0, 0.0, 1.0)
 
 
 @pytest.fixture(scope="module")
 def fresh(spec, specimens):
-    """Trials of every specimen that the calibration has not seen."""
+    """One trial of every specimen that the calibration has not seen."""
     return {
-        name: [t.press for t in pressed(spec, specimens[name], TRIALS, 9000 + 100 * i, rendered=False)]
+        name: [t.press for t in pressed(spec, specimens[name], 1, 9000 + 100 * i, rendered=False)]
         for i, name in enumerate(KAPPA_N_M)
     }
 
@@ -54,11 +56,6 @@ def test_a_new_specimens_stiffness_is_found(read) -> None:
         assert high == np.inf  # a rigid plate is among the references
 
 
-def test_one_press_is_enough_for_a_reading(calibration, fresh) -> None:
-    found = read_touch(calibration, fresh["new"][:1])
-    assert_allclose(found.stiffness.value, KAPPA_N_M["new"], rtol=0.15)
-
-
 def test_a_rigid_plate_has_no_upper_end_and_is_outside_of_the_range(read) -> None:
     found = read["rigid"].stiffness
     assert found.high == np.inf
@@ -76,8 +73,9 @@ def test_contact_areas_come_back(spec, specimens, read) -> None:
 
 
 def test_the_area_of_every_frame_comes_back(given, calibration) -> None:
+    plain = replace(calibration, nuisances=None)
     for one in given[::3]:
-        course = read_touch(calibration, [one.trials[0].press]).course
+        course = read_touch(plain, [one.trials[0].press]).course
         inside = course.force_n >= 1
         off = course.area_m2[inside, 0] / one.trials[0].area_m2[inside] - 1
         assert np.median(np.abs(off)) < 0.05
@@ -104,20 +102,18 @@ def test_a_tip_that_is_no_hertz_body_tells_no_radius(calibration, read) -> None:
 def test_another_speed_than_was_calibrated_is_flagged(calibration, fresh) -> None:
     (press, *_) = fresh["new"]
     for speed, flagged in ((0.004, False), (0.016, True), (0.0016, True), (np.nan, False)):
-        found = read_touch(calibration, [replace(press, speed_m_s=speed)]).stiffness
-        assert ("mm/s" in found.why) == flagged
-        assert found.valid != flagged
+        reasons = press_reasons(calibration, [replace(press, speed_m_s=speed)], AGREE)
+        assert [one.code for one in reasons] == [ReasonCode.SPEED] * flagged
 
 
 def test_pins_that_moved_against_each_other_are_drift(calibration, fresh, rng) -> None:
     (press, *_) = fresh["new"]
-    good = read_touch(calibration, [press]).stiffness
-    assert not good.drift.drifted
+    assert not drift_of(calibration, [press]).drifted
     moved = replace(press, untouched_px=press.untouched_px + rng.standard_normal(press.untouched_px.shape))
     for one in read_touch(calibration, [moved]).readings:
         assert one.drift.drifted
         assert not one.valid
-        assert "calibrate anew" in one.why
+        assert ReasonCode.DRIFTED in one.code
 
 
 def test_a_motion_like_no_reference_is_flagged(calibration, fresh, rng) -> None:
@@ -130,7 +126,7 @@ def test_a_motion_like_no_reference_is_flagged(calibration, fresh, rng) -> None:
 
 def test_flaws_of_a_press_make_every_reading_invalid(calibration, fresh) -> None:
     flawed = replace(fresh["new"][0], flaws=("the lamp went out",))
-    for one in read_touch(calibration, [fresh["new"][1], flawed]).readings:
+    for one in read_touch(calibration, [flawed]).readings:
         assert not one.valid
         assert ReasonCode.FLAWED_PRESS in one.code
         assert "lamp" in one.why
@@ -140,7 +136,8 @@ def test_a_few_lost_pins_change_little(calibration, fresh) -> None:
     (press, *_) = fresh["new"]
     moved = press.moved_px.copy()
     moved[4, ::11] = np.nan
-    found, whole = (read_touch(calibration, [one]) for one in (replace(press, moved_px=moved), press))
+    plain = replace(calibration, nuisances=None)
+    found, whole = (read_touch(plain, [one]) for one in (replace(press, moved_px=moved), press))
     assert_allclose(found.stiffness.value, whole.stiffness.value, rtol=0.02)
     assert_allclose(found.area.value, whole.area.value, rtol=0.02)
 
@@ -191,7 +188,7 @@ def test_without_areas_or_positions_less_is_told_and_the_rest_is_the_same(bare, 
 
 def test_two_references_tell_something_and_say_that_what_is_between_is_not_known(given, fresh) -> None:
     """By a rigid plate and S3 alone S2 reads half as stiff again, and no interval could know."""
-    found = read_touch(calibrate_compliance([given[0], given[3]]), fresh["S2"])
+    found = read_touch(calibrate_compliance([given[0], given[3]]), fresh["S2"][:1])
     for one in (found.stiffness, found.stiffness_both, found.area):
         assert np.isfinite(one.value)
         assert not one.valid

@@ -281,13 +281,13 @@ def test_a_drifting_rim_fails_the_audit_before_the_numbers_and_its_remedy_mends_
 
 
 def test_the_skin_can_be_given_and_the_map_of_pixels_is_a_file_of_the_calibration(tmp_path, rng) -> None:
-    case = pins(rng, 60)
+    case = pins(rng, 40)
     plan = plan_of(case, skin_px=(12, 12, 72, 72))
     card = read_card(calibrate(run_of(case, tmp_path), plan, tmp_path / "cal"))
     assert card.confounds is not None
     assert card.confounds.outside_share == pytest.approx(1 - (72 / 96) ** 2, abs=0.04)
     assert card.confounds.map_file in {part.file for part in card.files}
-    assert card.confounds.map_rows == 60
+    assert card.confounds.map_rows == 40
     increase = np.load(tmp_path / "cal" / card.confounds.map_file)
     assert increase.shape == (2, BLOCKS, BLOCKS)
     corners = increase[:, [0, 0, -1, -1], [0, -1, 0, -1]]
@@ -299,7 +299,7 @@ def test_the_skin_can_be_given_and_the_map_of_pixels_is_a_file_of_the_calibratio
 @pytest.mark.parametrize("seed", range(len(CONFOUNDS)))
 @pytest.mark.cases(1)
 def test_a_confound_of_each_kind_is_named(tmp_path, seed) -> None:
-    case = confounded_case(seed, (pins, spread), 120)
+    case = confounded_case(seed, (pins, spread), 80)
     card = read_card(calibrate(run_of(case, tmp_path), plan_of(case), tmp_path / "cal"))
     assert kinds_named(card) & set(case.wanted), case.name
 
@@ -307,7 +307,7 @@ def test_a_confound_of_each_kind_is_named(tmp_path, seed) -> None:
 @pytest.mark.parametrize("seed", range(2 * len(DRAWN)))
 @pytest.mark.cases(1)
 def test_a_clean_recording_raises_no_alarm(tmp_path, seed) -> None:
-    case = clean_case(seed, DRAWN, 80)
+    case = clean_case(seed, DRAWN, 60)
     card = read_card(calibrate(run_of(case, tmp_path), plan_of(case), tmp_path / "cal"))
     assert not kinds_named(card), case.name
 

@@ -14,6 +14,8 @@ from palpate.estimators import Estimator, read_card
 from palpate.estimators.certified import check_files
 from palpate.estimators.guard import CopyDiscriminator
 
+pytestmark = pytest.mark.usefixtures("changes_untried")
+
 
 def touches(count: int, rng: np.random.Generator, pattern: float = 0.0) -> np.ndarray:
     """Thumbnails of spots at random places, on a copy with a faint pattern of its own."""
@@ -51,8 +53,8 @@ def test_copies_that_are_alike_are_said_not_to_be_told(rng) -> None:
 def kept(record_spots_module, tmp_path_factory):
     """A folder with a calibration, adapted to a copy whose lamp is a little darker."""
     folder = tmp_path_factory.mktemp("kept")
-    plan = CalibrationPlan(("x_mm", "height_mm"), "pca-ridge", "group:press", size_px=(24, 32), delta=True)
-    calibrate(record_spots_module("run", 25), plan, folder / "cal")
+    plan = CalibrationPlan(("x_mm", "height_mm"), "pca-ridge", "group:press", size_px=(12, 16), delta=True)
+    calibrate(record_spots_module("run", 16), plan, folder / "cal")
     adapt(folder / "cal", record_spots_module("few", 20, seed=1, lamp=-0.5), folder / "adapted")
     return folder
 
@@ -99,15 +101,14 @@ def test_a_damaged_discriminator_is_refused_and_intervals_set_anew_keep_it(
 
 
 def test_several_copies_in_one_calibration_are_held_out_whole(record_spots, rewritten, tmp_path) -> None:
-    runs = [record_spots(f"r{k}", 8, seed=k, lamp=4.0 * k) for k in range(3)]
+    runs = [record_spots(f"r{k}", 4, seed=k, lamp=4.0 * k) for k in range(3)]
     runs = [
         rewritten(run, tmp_path / f"c{k}", lambda row, k=k: {**row, "copy": f"copy {k}", "session": "monday"})
         for k, run in enumerate(runs)
     ]
-    calibrate(runs, CalibrationPlan(("x_mm", "height_mm"), "pca-ridge", size_px=(24, 32)), tmp_path / "cal")
+    calibrate(runs, CalibrationPlan(("x_mm", "height_mm"), "mean", size_px=(6, 8)), tmp_path / "cal")
     card = read_card(tmp_path / "cal")
     assert card.split.columns == ("copy",)
-    assert (card.sessions.column, card.sessions.held_out) == ("copy", 3)
     assert (card.sessions.column, card.sessions.held_out) == ("copy", 3)
 
 

@@ -19,7 +19,7 @@ def world(rng: np.random.Generator, groups: int, growth: float):
     return estimate[:, None], true[:, None], group
 
 
-def rates(groups: int, growth: float, seeds: int = 20) -> np.ndarray:
+def rates(groups: int, growth: float, seeds: int = 10) -> np.ndarray:
     """Share held of all new rows, of those in the lowest and in the highest third; and of what was scored."""
     found = []
     for seed in range(seeds):
@@ -43,7 +43,7 @@ def test_forty_groups_hold_new_rows_at_their_rate_in_each_part_of_the_range(grow
 
 def test_one_width_is_taken_where_errors_do_not_follow_and_a_following_one_where_they_do() -> None:
     def follows(growth: float) -> float:
-        worlds = (world(np.random.default_rng(seed), 40, growth) for seed in range(20))
+        worlds = (world(np.random.default_rng(seed), 40, growth) for seed in range(10))
         return float(np.mean([spread_terms(p, np.abs(t - p), g)[0] > 1 for p, t, g in worlds]))
 
     assert follows(0.0) < 0.15
@@ -69,7 +69,7 @@ def test_of_several_targets_the_errors_that_grow_are_followed_by_fewer_terms_whe
 def test_so_few_groups_that_a_rank_of_rows_promises_too_much_are_not_held_to_one_scale() -> None:
     """Rows of a group err alike, and the quantile's rank is raised by a row alone: of five groups 0.83."""
     held = []
-    for seed in range(200):
+    for seed in range(100):
         rng = np.random.default_rng(seed)
         error = np.repeat(rng.standard_normal(5), ROWS)[:, None]
         estimate = np.repeat(rng.uniform(0, 1, 5), ROWS)[:, None]

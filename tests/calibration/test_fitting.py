@@ -21,10 +21,23 @@ pytestmark = pytest.mark.usefixtures("changes_untried")
 
 TWO = ("x_mm", "height_mm")
 PLAN = CalibrationPlan(TWO, "pca-ridge", split="group:press", size_px=(24, 32))
+RIDGE = replace(PLAN, size_px=(12, 16))
+MEAN = CalibrationPlan(("x_mm",), "mean", split="group:press", size_px=(6, 8))
 
 
 def left_over(tmp_path) -> list[str]:
     return sorted(p.name for p in tmp_path.iterdir() if p.name != "run")
+
+
+@pytest.fixture(scope="module")
+def run(record_spots_module):
+    return record_spots_module("run", 10)
+
+
+@pytest.fixture(scope="module")
+def grouped(run, tmp_path_factory):
+    """Calibration of the mean with folds by press."""
+    return calibrate(run, MEAN, tmp_path_factory.mktemp("grouped") / "cal")
 
 
 def interrupt(run, plan, out, fold: int = 3) -> None:
@@ -37,62 +50,58 @@ def interrupt(run, plan, out, fold: int = 3) -> None:
 
 
 def test_a_calibration_recovers_the_truth_inside_its_intervals(record_spots, tmp_path) -> None:
-    calibrate(record_spots("run", 40), PLAN, tmp_path / "cal")
-    found = evaluate(Estimator.open(tmp_path / "cal"), record_spots("fresh", 40, seed=1))
+    calibrate(record_spots("run", 20), PLAN, tmp_path / "cal")
+    found = evaluate(Estimator.open(tmp_path / "cal"), record_spots("fresh", 20, seed=1))
     for score in found["targets"].values():
         assert score["mae"] < score["mean_mae"] / 3
-        # 200 rows in 40 presses: nine in ten or more, as every tenth of the range is to be covered so often.
+        # nine in ten or more, as every tenth of the range is to be covered so often
         assert 0.8 < score["coverage_90"] < 1
-    assert found["frames_scored"] == 200
+    assert found["frames_scored"] == 100
     assert not found["learnt_from_this_run"]
 
 
-def test_held_out_predictions_come_from_the_other_folds(record_spots, tmp_path) -> None:
-    calibrate(
-        record_spots("run", 10),
-        CalibrationPlan(("x_mm",), model="mean", split="group:press"),
-        tmp_path / "cal",
-    )
-    table = read_table(tmp_path / "cal" / "predictions.csv.gz")
+def test_held_out_predictions_come_from_the_other_folds(grouped) -> None:
+    table = read_table(grouped / "predictions.csv.gz")
+    assert len(table) == 50  # frames without contact are not trained on
     for fold in range(5):
         held = table["held_out_in_fold"] == fold
         assert not set(table["press"][held]) & set(table["press"][~held])
         np.testing.assert_allclose(table["estimate:x_mm"][held], table["x_mm"][~held].mean())
 
 
-def test_frames_of_the_untouched_sensor_are_not_learnt_from_unless_asked(record_spots, tmp_path) -> None:
-    run = record_spots("run", 10)
-    calibrate(run, PLAN, tmp_path / "cal")
-    assert len(read_table(tmp_path / "cal" / "predictions.csv.gz")) == 50
-    with_them = CalibrationPlan(("height_mm",), model="mean", split="group:press", learn_untouched=True)
+def test_frames_of_the_untouched_sensor_are_not_learnt_from_unless_asked(run, tmp_path) -> None:
+    with_them = replace(MEAN, targets=("height_mm",), learn_untouched=True)
     calibrate(run, with_them, tmp_path / "cal-all")
     assert len(read_table(tmp_path / "cal-all" / "predictions.csv.gz")) == 60
     assert read_card(tmp_path / "cal-all").targets[0].least == 0
 
 
-def test_an_interrupted_calibration_goes_on_to_the_same_result(record_spots, tmp_path) -> None:
-    run = record_spots("run", 12)
-    calibrate(run, PLAN, tmp_path / "whole")
-
-    interrupt(run, PLAN, tmp_path / "cal", fold=4)
+def test_an_interrupted_calibration_goes_on_to_the_same_result(run, tmp_path) -> None:
+    calibrate(run, RIDGE, tmp_path / "whole")
+    interrupt(run, RIDGE, tmp_path / "cal", fold=4)
     assert not (tmp_path / "cal").exists()
     kept = tmp_path / ".cal.work"
     before = {path.name: path.stat().st_mtime_ns for path in kept.glob("fold-*.npy")}
     assert len(before) == 3
-    calibrate(run, PLAN, tmp_path / "cal")
+    calibrate(run, RIDGE, tmp_path / "cal")
     assert not kept.exists()
     first, again = ((tmp_path / name / "predictions.csv.gz").read_bytes() for name in ("whole", "cal"))
     assert first == again
 
 
 def fitted_folds(run, plan, out) -> list[str]:
-    """Which folds a calibration computes, by its progress."""
+    """Return the folds that a calibration computes, by its progress up to the guard."""
     seen: dict[str, None] = {}
-    calibrate(run, plan, out, lambda what, done, total: seen.setdefault(what.partition(":")[0]))
+
+    def watch(what: str, done: int, total: int) -> None:
+        seen.setdefault(what.partition(":")[0])
+        if what == "learning what frames look like":
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        calibrate(run, plan, out, watch)
     return [what for what in seen if what.startswith("fold")]
 
-
-RIDGE = CalibrationPlan(TWO, "pca-ridge", split="group:press", size_px=(12, 16))
 
 DAMAGES = {
     "another shape": lambda path: np.save(path, np.zeros((1, 2))),
@@ -105,35 +114,24 @@ DAMAGES = {
 
 
 @pytest.mark.parametrize("damage", mostly_slow(list(DAMAGES), lambda i: i in (1, 4)))
-def test_a_damaged_fold_of_an_interrupted_calibration_is_computed_again(
-    damage, record_spots, tmp_path
-) -> None:
-    run = record_spots("run", 10)
+def test_a_damaged_fold_of_an_interrupted_calibration_is_computed_again(damage, run, tmp_path) -> None:
     interrupt(run, RIDGE, tmp_path / "cal")
     fold = tmp_path / ".cal.work" / "fold-0.npy"
     kept = np.load(fold)
     DAMAGES[damage](fold)
-    if damage != "no number":  # one of them goes on to its end
-        interrupt(run, RIDGE, tmp_path / "cal")
-        np.testing.assert_allclose(np.load(fold), kept, rtol=1e-9)
-        return
-    assert fitted_folds(run, RIDGE, tmp_path / "cal")[0] == "fold 1 of 5"
-    table = read_table(tmp_path / "cal" / "predictions.csv.gz")
-    again = table[table["held_out_in_fold"] == 0][["estimate:x_mm", "estimate:height_mm"]]
-    np.testing.assert_allclose(again, kept, rtol=1e-9)
+    interrupt(run, RIDGE, tmp_path / "cal")
+    np.testing.assert_allclose(np.load(fold), kept, rtol=1e-9)
 
 
 @pytest.mark.parametrize("note", [b"\xff\xfe", b"", b'{"run": '])
 @pytest.mark.cases(1)
-def test_work_whose_note_is_damaged_begins_anew(note, record_spots, tmp_path) -> None:
-    run = record_spots("run", 10)
+def test_work_whose_note_is_damaged_begins_anew(note, run, tmp_path) -> None:
     interrupt(run, RIDGE, tmp_path / "cal")
     (tmp_path / ".cal.work" / "plan.json").write_bytes(note)
     assert len(fitted_folds(run, RIDGE, tmp_path / "cal")) == 5
 
 
-def test_work_by_another_version_or_with_other_folds_begins_anew(record_spots, tmp_path, monkeypatch) -> None:
-    run = record_spots("run", 10)
+def test_work_by_another_version_or_with_other_folds_begins_anew(run, tmp_path, monkeypatch) -> None:
     for name, value in (("__version__", "0.0.9"), ("split", lambda *a, **k: split(*a, **{**k, "seed": 1}))):
         with monkeypatch.context() as patched:
             patched.setattr(fitting, name, value)
@@ -142,15 +140,15 @@ def test_work_by_another_version_or_with_other_folds_begins_anew(record_spots, t
 
 
 @pytest.mark.parametrize("name", ["notes.txt", "fold-0", "model.npz"])
-def test_a_work_folder_with_a_file_of_the_user_s_is_not_removed(name, record_spots, tmp_path) -> None:
+def test_a_work_folder_with_a_file_of_the_user_s_is_not_removed(name, run, tmp_path) -> None:
     (tmp_path / ".cal.work").mkdir()
     (tmp_path / ".cal.work" / name).write_text("mine")
     with refused("foreign-file", ExistsError, name):
-        calibrate(record_spots("run", 10), RIDGE, tmp_path / "cal")
+        calibrate(run, RIDGE, tmp_path / "cal")
     assert (tmp_path / ".cal.work" / name).read_text() == "mine"
 
 
-def test_a_model_that_predicts_no_number_is_refused_by_its_fold(record_spots, tmp_path, monkeypatch) -> None:
+def test_a_model_that_predicts_no_number_is_refused_by_its_fold(run, tmp_path, monkeypatch) -> None:
     fit = MeanBaseline.fit
 
     def lost(self, data, rows, *, seed, **others):
@@ -158,14 +156,12 @@ def test_a_model_that_predicts_no_number_is_refused_by_its_fold(record_spots, tm
         return replace(fitted, offset=fitted.offset * np.nan) if seed in (2, 4) else fitted
 
     monkeypatch.setattr(MeanBaseline, "fit", lost)
-    plan = CalibrationPlan(("x_mm",), model="mean", split="group:press", size_px=(12, 16))
+    plan = MEAN
     with pytest.raises(InputError, match=r"mean, fold 2"):
-        calibrate(record_spots("run", 10), plan, tmp_path / "cal")
+        calibrate(run, plan, tmp_path / "cal")
 
 
-def test_a_fit_sees_no_labels_of_rows_held_out_and_cannot_change_any(
-    record_spots, tmp_path, monkeypatch
-) -> None:
+def test_a_fit_sees_no_labels_of_rows_held_out_and_cannot_change_any(run, tmp_path, monkeypatch) -> None:
     fit, held_out = MeanBaseline.fit, []
 
     def watched(self, data, rows, **others):
@@ -177,13 +173,12 @@ def test_a_fit_sees_no_labels_of_rows_held_out_and_cannot_change_any(
         return fit(self, data, rows, **others)
 
     monkeypatch.setattr(MeanBaseline, "fit", watched)
-    plan = CalibrationPlan(("x_mm",), model="mean", split="group:press", size_px=(12, 16))
-    calibrate(record_spots("run", 10), plan, tmp_path / "cal")
+    plan = MEAN
+    calibrate(run, plan, tmp_path / "cal")
     assert held_out == [(10, True)] * 5 + [(0, True)]
 
 
-def test_work_towards_another_plan_is_not_taken_over(record_spots, tmp_path) -> None:
-    run = record_spots("run", 12)
+def test_work_towards_another_plan_is_not_taken_over(run, tmp_path) -> None:
 
     interrupt(run, PLAN, tmp_path / "cal", fold=2)
     other = CalibrationPlan(targets=("x_mm",), split="group:press", size_px=(24, 32))
@@ -191,10 +186,10 @@ def test_work_towards_another_plan_is_not_taken_over(record_spots, tmp_path) -> 
         calibrate(run, other, tmp_path / "cal")
 
 
-def test_what_exists_is_never_overwritten(record_spots, tmp_path) -> None:
+def test_what_exists_is_never_overwritten(run, tmp_path) -> None:
     (tmp_path / "cal").mkdir()
     with refused("exists", ExistsError):
-        calibrate(record_spots("run", 10), PLAN, tmp_path / "cal")
+        calibrate(run, PLAN, tmp_path / "cal")
     assert list((tmp_path / "cal").iterdir()) == []
 
 
@@ -209,10 +204,7 @@ def test_what_exists_is_never_overwritten(record_spots, tmp_path) -> None:
         (CalibrationPlan(("x_mm",), reference=ReferenceRule("weight_g", "0")), LabelError, "label"),
     ],
 )
-def test_a_plan_that_does_not_fit_is_refused_and_leaves_nothing(
-    plan, error, code, record_spots, tmp_path
-) -> None:
-    run = record_spots("run", 10)
+def test_a_plan_that_does_not_fit_is_refused_and_leaves_nothing(plan, error, code, run, tmp_path) -> None:
     with refused(code, error):
         calibrate(run, plan, tmp_path / "cal")
     assert left_over(tmp_path) == []
@@ -241,9 +233,8 @@ def test_a_plan_without_sense_is_refused(fields, code) -> None:
 
 
 def test_the_difference_from_a_reference_does_not_see_the_lamp(record_spots, tmp_path) -> None:
-    plan = replace(PLAN, delta=True)
-    calibrate(record_spots("run", 30), plan, tmp_path / "cal")
-    brighter = record_spots("brighter", 20, seed=2, lamp=12.0)
+    calibrate(record_spots("run", 16), replace(PLAN, delta=True), tmp_path / "cal")
+    brighter = record_spots("brighter", 8, seed=2, lamp=12.0)
     score = evaluate(Estimator.open(tmp_path / "cal"), brighter)["targets"]["height_mm"]
     assert score["mae"] < score["mean_mae"] / 4
 
@@ -259,20 +250,17 @@ def test_each_group_may_have_its_own_reference(record_spots, tmp_path) -> None:
         np.testing.assert_array_equal(untouched.images[untouched.groups[row]], first)
 
 
-def test_leakage_is_found_and_said_on_the_card(record_spots, tmp_path) -> None:
-    run = record_spots("run", 12)
-    calibrate(run, CalibrationPlan(("x_mm",), model="mean", split="random"), tmp_path / "random")
-    calibrate(run, CalibrationPlan(("x_mm",), model="mean", split="group:press"), tmp_path / "grouped")
-    assert not read_card(tmp_path / "random").split.clean
-    assert "press" in read_card(tmp_path / "random").split.audit_text
-    assert read_card(tmp_path / "grouped").split.clean
+def test_leakage_is_found_and_stated_on_the_card(run, grouped, tmp_path) -> None:
+    card = read_card(calibrate(run, replace(MEAN, split="random"), tmp_path / "random"))
+    assert not card.split.clean
+    assert "press" in card.split.audit_text
+    assert read_card(grouped).split.clean
 
 
-def test_one_fold_is_held_out_from_the_model_that_is_kept(record_spots, tmp_path) -> None:
-    run = record_spots("run", 20)
-    plan = replace(PLAN, targets=("x_mm",), scored_folds=1)
+def test_one_fold_is_held_out_from_the_model_that_is_kept(run, tmp_path) -> None:
+    plan = replace(RIDGE, targets=("x_mm",), scored_folds=1)
     split_card = read_card(calibrate(run, plan, tmp_path / "cal")).split
-    assert (split_card.rows_scored, split_card.rows_learnt) == (20, 80)
+    assert (split_card.rows_scored, split_card.rows_learnt) == (10, 40)
     table = read_table(tmp_path / "cal" / "predictions.csv.gz")
     # The kept model repeats the scored predictions: it is the very one that was scored.
     found = Estimator.open(tmp_path / "cal").read(
@@ -281,20 +269,23 @@ def test_one_fold_is_held_out_from_the_model_that_is_kept(record_spots, tmp_path
     assert found["x_mm"].in_unit("mm").value == pytest.approx(table["estimate:x_mm"][0], rel=1e-3, abs=1e-4)
 
 
-def test_models_of_other_targets_are_scored_on_the_same_rows_where_the_fold_is_chosen_by_the_same_labels(
-    record_spots, tmp_path
+def test_the_scored_fold_of_several_targets_is_one_if_chosen_by_the_same_labels(
+    record_spots, tmp_path, monkeypatch
 ) -> None:
-    run = record_spots("run", 20)
-    scored = {}
+    run, chosen = record_spots("run", 12), []
+
+    def choose(parts: Split, values: np.ndarray) -> int:
+        chosen.append(representative_fold(parts, values))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(fitting, "representative_fold", choose)
     for fold_by in ((), TWO):
         for target in TWO:
-            plan = CalibrationPlan(
-                (target,), "mean", "group:press", size_px=(12, 16), scored_folds=1, fold_by=fold_by
-            )
-            out = calibrate(run, plan, tmp_path / f"{target}-{len(fold_by)}")
-            scored[fold_by, target] = set(read_table(out / "predictions.csv.gz")["press"])
-    assert scored[TWO, "x_mm"] == scored[TWO, "height_mm"]
-    assert scored[(), "x_mm"] != scored[(), "height_mm"]  # else this run could not tell
+            plan = replace(MEAN, targets=(target,), scored_folds=1, fold_by=fold_by)
+            with pytest.raises(KeyboardInterrupt):
+                calibrate(run, plan, tmp_path / f"{target}-{len(fold_by)}")
+    assert chosen[0] != chosen[1]
+    assert chosen[2] == chosen[3]
 
 
 def test_the_fold_that_stands_for_all_is_the_one_most_like_all() -> None:

@@ -58,8 +58,8 @@ def covered(k: int, u: float, errors, factor: float = 1.0) -> float:
     shares = []
     for seed in range(5):
         (intervals, card), rng = calibrated(k, errors, seed), np.random.default_rng(100 + seed)
-        true = rng.uniform(0, 10, (200, k))
-        shown = true + u * rng.standard_normal((200, k)) + MODEL * errors(rng, (200, k))
+        true = rng.uniform(0, 10, (120, k))
+        shown = true + u * rng.standard_normal((120, k)) + MODEL * errors(rng, (120, k))
         for truth, value, spread in zip(true, shown, intervals.spread.at(shown), strict=True):
             parts = [reading(float(v)) for v in value]
             region = vector_reading(card, parts, spread, [instrument(factor * u)] * k)
@@ -70,8 +70,9 @@ def covered(k: int, u: float, errors, factor: float = 1.0) -> float:
 @pytest.mark.parametrize("errors", [normal, bounded])
 @pytest.mark.parametrize("ratio", [1, 3, 10])
 @pytest.mark.parametrize("k", [2, 3])
+@pytest.mark.cases(3)
 def test_a_joint_region_holds_the_truth_whose_instrument_is_uncertain(k, ratio, errors) -> None:
-    """1000 truths: the rate varies by 0.9 %, and by 0.7 % with the five calibrations."""
+    """600 truths: the rate varies by 1.2 %, and by 0.7 % with the five calibrations."""
     assert 0.865 < covered(k, ratio * MODEL, errors) < 0.935
 
 

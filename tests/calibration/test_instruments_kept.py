@@ -21,7 +21,7 @@ pytestmark = pytest.mark.usefixtures("changes_untried")
 FORMER = {"x_mm": ReferenceInstrument(instrument="stage A", standard_uncertainty=0.2)}
 OTHER = {"x_mm": ReferenceInstrument(instrument="laser B", standard_uncertainty=0.5)}
 FINE = {"x_mm": ReferenceInstrument(instrument="fine C", standard_uncertainty=0.01)}
-PLAN = {"targets": ("x_mm",), "split": "group:press", "size_px": (24, 32), "model": "pca-ridge"}
+PLAN = {"targets": ("x_mm",), "split": "group:press", "size_px": (12, 16), "model": "pca-ridge"}
 
 
 def stating(run: Run, instruments: dict[str, ReferenceInstrument]) -> Run:
@@ -80,7 +80,7 @@ def test_an_interval_that_is_as_long_as_the_range_with_its_instrument_tells_noth
     record_spots, tmp_path
 ) -> None:
     wide = {"x_mm": ReferenceInstrument(instrument="ruler", standard_uncertainty=5.0)}
-    run, fresh = record_spots("run", 20), record_spots("fresh", 6, seed=1)
+    run, fresh = record_spots("run", 12), record_spots("fresh", 3, seed=1)
     rows = {}
     for name, instruments in (("bare", {}), ("traced", wide)):
         calibrate(run, CalibrationPlan(**PLAN, instruments=instruments), tmp_path / name)

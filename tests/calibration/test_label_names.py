@@ -49,7 +49,6 @@ def recorded(path, names=NAMES, frames: int = 24) -> Run:
 
 
 @pytest.mark.parametrize("split", ["auto", "group:row", "group:frame", "group:fold", "leave-one-out:index"])
-@pytest.mark.cases(3)
 @pytest.mark.cases(1)
 def test_every_label_s_name_goes_through_a_calibration_and_keeps_its_values(split, tmp_path) -> None:
     run = recorded(tmp_path / "run")

@@ -44,7 +44,7 @@ def seen(scene: np.ndarray, rng: np.random.Generator, noise: float) -> np.ndarra
 
 
 def pressed(
-    folder: Path, rng: np.random.Generator, noise: float, presses: int = 20, each: int = 25
+    folder: Path, rng: np.random.Generator, noise: float, presses: int = 10, each: int = 10
 ) -> PackedSet:
     scenes = [press(rng) for _ in range(presses)]
     table = pd.DataFrame({"press": np.repeat(np.arange(float(presses)), each), "depth_mm": 1.0})
@@ -62,18 +62,18 @@ def test_a_still_scene_recorded_often_leaks_under_a_random_split_and_not_by_pres
     random, by_press = audited(packed, "random"), audited(packed, "group:press")
     assert random.near_duplicates >= 0.99 * len(packed)
     assert not random.clean
-    assert random.shared_groups == {"press": 20}
+    assert random.shared_groups == {"press": 10}
     (same,) = (one for one in random.findings if one.code == FindingCode.LOOK_ALIKES)
-    assert 0 < same.values["count"] <= same.values["held"] == 500
+    assert 0 < same.values["count"] <= same.values["held"] == 100
     assert by_press.near_duplicates == 0
     assert by_press.clean
-    assert by_press.checked_pairs == 500 * 400  # five folds of a hundred against the other four hundred
+    assert by_press.checked_pairs == 100 * 80  # five folds of twenty against the other eighty
 
 
 def test_separate_touches_do_not_leak_under_a_random_split(tmp_path, rng):
-    images = [seen(press(rng), rng, 1.5) for _ in range(200)]
+    images = [seen(press(rng), rng, 1.5) for _ in range(60)]
     found = audited(
-        packed_set(tmp_path, images, pd.DataFrame({"depth_mm": rng.uniform(0.3, 1, 200)})), "random"
+        packed_set(tmp_path, images, pd.DataFrame({"depth_mm": rng.uniform(0.3, 1, 60)})), "random"
     )
     assert found.near_duplicates == 0
     assert found.clean
@@ -84,27 +84,27 @@ def test_separate_touches_do_not_leak_under_a_random_split(tmp_path, rng):
 @pytest.mark.parametrize("grey_levels", [0, 2])
 @pytest.mark.cases(1)
 def test_copies_among_separate_touches_are_found_and_named(tmp_path, rng, grey_levels):
-    images = [seen(press(rng), rng, 0) for _ in range(60)]
+    images = [seen(press(rng), rng, 0) for _ in range(20)]
     noisy = images[7] + rng.integers(-grey_levels, grey_levels + 1, images[7].shape)
     images.append(np.clip(noisy, 0, 255).astype(np.uint8))
-    names = [f"touch_{i}.png" for i in range(60)] + ["copy.png"]
-    packed = packed_set(tmp_path, images, pd.DataFrame({"image_file": names, "press": np.arange(61.0)}))
+    names = [f"touch_{i}.png" for i in range(20)] + ["copy.png"]
+    packed = packed_set(tmp_path, images, pd.DataFrame({"image_file": names, "press": np.arange(21.0)}))
     found = audited(packed, "leave-one-out:press")
     assert sorted(found.examples) == [("copy.png", "touch_7.png"), ("touch_7.png", "copy.png")]
     assert not found.clean
 
 
 def test_equal_pictures_are_copies_whatever_their_labels(tmp_path, rng):
-    images = [seen(press(rng), rng, 1.0) for _ in range(60)]
+    images = [seen(press(rng), rng, 1.0) for _ in range(20)]
     images.append(images[7])
-    names = [f"touch_{i}.png" for i in range(60)] + ["copy.png"]
-    depths = np.append(rng.uniform(0.1, 1.0, 60), 5.0)
-    table = pd.DataFrame({"image_file": names, "press": np.arange(61.0), "depth_mm": depths})
+    names = [f"touch_{i}.png" for i in range(20)] + ["copy.png"]
+    depths = np.append(rng.uniform(0.1, 1.0, 20), 5.0)
+    table = pd.DataFrame({"image_file": names, "press": np.arange(21.0), "depth_mm": depths})
     found = audited(packed_set(tmp_path, images, table), "leave-one-out:press")
     assert (found.near_duplicates, found.altered_copies, found.clean) == (2, 0, False)
     assert found.findings[0].code == FindingCode.CONTRADICTING_LABELS
-    assert found.findings[0].values == {"count": 2, "held": 61, "first": "touch_7.png", "second": "copy.png"}
-    table["depth_mm"] = np.append(depths[:60], depths[7])
+    assert found.findings[0].values == {"count": 2, "held": 21, "first": "touch_7.png", "second": "copy.png"}
+    table["depth_mm"] = np.append(depths[:20], depths[7])
     (tmp_path / "agreeing").mkdir()
     found = audited(packed_set(tmp_path / "agreeing", images, table), "leave-one-out:press")
     assert found.near_duplicates == 2

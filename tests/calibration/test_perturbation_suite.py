@@ -25,7 +25,7 @@ def cells(card) -> dict[tuple[str, float], object]:
 @pytest.fixture(scope="module")
 def spots(tmp_path_factory, record_spots_module):
     folder = tmp_path_factory.mktemp("suite")
-    run = record_spots_module("run", 40)
+    run = record_spots_module("run", 24)
     calibrate(run, PLAN, folder / "cal")
     return run, Estimator.open(folder / "cal")
 
@@ -45,9 +45,9 @@ def test_every_change_has_its_row_and_slight_ones_cost_nothing(spots) -> None:
 
 def test_chance_alone_names_a_change_in_one_card_of_twenty(rng) -> None:
     """The negative control: 55 changes that cost nothing, 12 frames each, where 2 % are misread anyway."""
-    drawn = [(rng.binomial(12, 0.02, 55), rng.binomial(400, 0.02)) for _ in range(100)]
+    drawn = [(rng.binomial(12, 0.02, 55), rng.binomial(400, 0.02)) for _ in range(60)]
     named = [any(_more_often(wrong.tolist(), [12] * 55, int(usual), 400)) for wrong, usual in drawn]
-    assert np.mean(named) <= 0.11  # 5 %, and thrice the scatter of a hundred
+    assert np.mean(named) <= 0.11  # 5 %, and twice the scatter of sixty
 
 
 def test_targets_that_are_not_read_do_not_count(rng) -> None:
@@ -94,8 +94,7 @@ def test_too_few_frames_say_what_they_cannot_tell(record_spots, tmp_path) -> Non
     calibrate(record_spots("run", 8), PLAN, tmp_path / "cal")
     estimator = Estimator.open(tmp_path / "cal")
     found = estimator.card.robustness
-    assert found.frames == 40 < MIN_ROWS
-    assert found.table == ()
+    assert found.frames < MIN_ROWS
     assert (found.frames, found.table) == (40, ())
 
 
@@ -103,13 +102,13 @@ def test_too_few_frames_say_what_they_cannot_tell(record_spots, tmp_path) -> Non
 def adapted(spots, tmp_path_factory, record_spots_module) -> Estimator:
     """The same camera, whose lamp is darker: another copy of the sensor."""
     folder = tmp_path_factory.mktemp("adapted")
-    adapt(spots[1].folder, record_spots_module("own", 20, seed=2, lamp=-15.0), folder / "cal")
+    adapt(spots[1].folder, record_spots_module("own", 12, seed=2, lamp=-15.0), folder / "cal")
     return Estimator.open(folder / "cal")
 
 
 def test_an_adapted_guard_knows_what_a_change_costs_on_its_own_copy(adapted) -> None:
     found = adapted.card.robustness
-    assert found.frames == 100
+    assert found.frames == 60
     table = cells(adapted.card)
     assert len(table) == 50
     assert found.refused <= 0.03
@@ -124,7 +123,7 @@ def test_an_adapted_guard_judges_fresh_frames_of_its_copy_as_its_card_says(
     adapted, spots, record_spots
 ) -> None:
     """The former guard is the negative control: it takes the copy's own frames for strange."""
-    fresh = record_spots("fresh", 30, seed=4, lamp=-15.0)
+    fresh = record_spots("fresh", 15, seed=4, lamp=-15.0)
     frames = [fresh.frame(row).image for row in range(len(fresh)) if row % 6 in (2, 5)]
     rng = np.random.default_rng(0)
 

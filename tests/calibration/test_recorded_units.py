@@ -37,10 +37,10 @@ def test_units_are_the_groups_or_stretches_of_equal_labels() -> None:
 
 @pytest.mark.parametrize(("presses", "rows"), [(10, 30), (20, 20), (60, 5)])
 def test_held_presses_in_random_order_need_no_column_to_raise_no_alarm(presses, rows) -> None:
-    """At a level of 1 %, 3 or more of 60 alarm in 2 % of tests that are right."""
+    """At a level of 1 %, 2 or more of 20 alarm in 2 % of tests that are right."""
     rng = np.random.default_rng(3)
-    checks = [checked(held(rng, presses, rows), seed=i) for i in range(60)]
-    assert sum(check.follows for check in checks) <= 2
+    checks = [checked(held(rng, presses, rows), seed=i) for i in range(20)]
+    assert sum(check.follows for check in checks) <= 1
     counts = [recorded_units(held(rng, presses, rows)[:, None]).count for _ in range(20)]
     assert 0.9 * presses <= np.mean(counts) <= presses
     assert {check.units for check in checks} == {"stretches of nearly equal labels"}
@@ -76,17 +76,17 @@ def test_labels_in_order_in_each_session_are_found_and_others_are_not(sessions) 
     assert sum(alarms) <= 1
 
 
-def test_of_a_hundred_clean_recordings_of_three_sessions_one_alarms_at_most() -> None:
-    """Of single rows; of 24 presses, whose few orders a level of 1 % lets by, four alarm in 2 % of tests."""
+def test_of_forty_clean_recordings_of_three_sessions_one_alarms_at_most() -> None:
+    """Of single rows; of 24 presses, whose few orders a level of 1 % lets by."""
     rng = np.random.default_rng(6)
-    offsets = np.repeat(rng.normal(0, 2, (100, 3)), 40, axis=1)
+    offsets = np.repeat(rng.normal(0, 2, (40, 3)), 40, axis=1)
     rows = [
-        checked(rng.uniform(1, 10, 120) + offsets[i], np.repeat(np.arange(3), 40), seed=i) for i in range(100)
+        checked(rng.uniform(1, 10, 120) + offsets[i], np.repeat(np.arange(3), 40), seed=i) for i in range(40)
     ]
     assert sum(check.follows for check in rows) <= 1
     of = np.repeat(np.arange(24), 5)
-    presses = [checked(rng.uniform(1, 10, 24)[of] + offsets[i], of // 8, of, i) for i in range(100)]
-    assert sum(check.follows for check in presses) <= 3
+    presses = [checked(rng.uniform(1, 10, 24)[of] + offsets[i], of // 8, of, i) for i in range(40)]
+    assert sum(check.follows for check in presses) <= 2
 
 
 def test_order_is_asked_from_six_presses_of_one_session_on() -> None:

@@ -117,7 +117,7 @@ def test_widths_follow_the_estimate_and_hold_in_a_new_session(count, rng) -> Non
         predicted, true = (np.concatenate(side) for side in zip(*parts, strict=True))
         of = np.repeat(np.arange(count), 40)
         intervals = intervals_of_sessions(predicted, true, of, np.arange(len(of)), 0.9)
-        for _ in range(40):
+        for _ in range(20):
             fresh, label = session(40)
             inside.append(np.mean(np.abs(fresh - label) <= intervals.half_widths(fresh)))
         ratio.append(np.divide(*intervals.half_widths(np.array([[0.9], [0.1]]))[:, 0]))
@@ -194,23 +194,37 @@ def test_intervals_set_anew_keep_how_the_width_follows_the_estimate(rng) -> None
     assert wide == pytest.approx(np.full((600, 1), 3.0), rel=0.1)
 
 
-@pytest.fixture
-def days(record_spots):
-    """So many sessions of one sensor, whose lamp differs from day to day."""
+LAMPS = np.random.default_rng(5).normal(0, 6, 40)
 
-    def record(count: int, presses: int = 8, first: int = 0) -> list[Run]:
-        lamps = np.random.default_rng(5).normal(0, 6, 40)
-        return [
-            record_spots(f"day{k}", presses, seed=k, lamp=float(lamps[k]))
-            for k in range(first, first + count)
-        ]
+
+@pytest.fixture(scope="module")
+def day(record_spots_module):
+    """Return a session of one sensor, whose lamp differs from day to day; each is recorded once."""
+    made: dict[tuple[int, int], Run] = {}
+
+    def record(k: int, presses: int = 5) -> Run:
+        if (k, presses) not in made:
+            name = f"day{k}" if presses == 5 else f"day{k}-{presses}"
+            made[k, presses] = record_spots_module(name, presses, seed=k, lamp=float(LAMPS[k]))
+        return made[k, presses]
 
     return record
 
 
-def test_runs_are_joined_each_as_a_session_that_is_held_out_whole(days, tmp_path) -> None:
-    calibrate(days(3), PLAN, tmp_path / "cal")
-    card, table = read_card(tmp_path / "cal"), read_table(tmp_path / "cal" / "predictions.csv.gz")
+@pytest.fixture(scope="module")
+def three(day, tmp_path_factory) -> Path:
+    """Calibration of three sessions."""
+    return calibrate([day(k) for k in range(3)], PLAN, tmp_path_factory.mktemp("three") / "cal")
+
+
+@pytest.fixture(scope="module")
+def one(day, tmp_path_factory) -> Path:
+    """Calibration of one session."""
+    return calibrate(day(0, 20), PLAN, tmp_path_factory.mktemp("one") / "cal")
+
+
+def test_runs_are_joined_each_as_a_session_that_is_held_out_whole(three) -> None:
+    card, table = read_card(three), read_table(three / "predictions.csv.gz")
     assert card.split.columns == ("session",)
     assert card.sessions.names == ("day0", "day1", "day2")
     assert (card.sessions.held_out, card.sessions.rule) == (3, "parametric")
@@ -220,113 +234,84 @@ def test_runs_are_joined_each_as_a_session_that_is_held_out_whole(days, tmp_path
     assert card.reference.by == ("session",)
 
 
-def test_nine_sessions_are_distribution_free_and_cover_the_tenth(days, tmp_path) -> None:
-    calibrate(days(9, presses=4), PLAN, tmp_path / "cal")
-    card = read_card(tmp_path / "cal")
-    assert (card.sessions.rule, card.sessions.rank, card.sessions.factor) == ("distribution-free", 9, None)
-    covered = [
-        evaluate(Estimator.open(tmp_path / "cal"), run)["targets"]["height_mm"]["coverage_90"]
-        for run in days(3, presses=4, first=9)
-    ]
-    assert np.mean(covered) > 0.75  # three sessions, of which each counts as one
-
-
-def test_one_session_is_said_not_to_be_tested_and_is_covered_less_on_the_next(days, tmp_path) -> None:
-    first, second = days(1, presses=30)[0], days(1, presses=12, first=1)[0]
-    calibrate(first, PLAN, tmp_path / "cal")
-    card = read_card(tmp_path / "cal")
-    assert (card.sessions.rule, card.sessions.held_out, card.sessions.runs) == ("one session", 0, ())
-    found = evaluate(Estimator.open(tmp_path / "cal"), second)
-    assert found["same_session"] == ""
-    assert found["targets"]["height_mm"]["coverage_90"] < 0.5
-
-
-def test_one_session_under_two_names_is_refused(days, tmp_path, rewritten) -> None:
-    first, second = days(2)
-    again = rewritten(first, tmp_path / "again")
-    with refused("session-twice", InputError):
-        calibrate([first, second, again], PLAN, tmp_path / "cal")
-    with pytest.raises(InputError, match="one recording"):
-        calibrate([first, first], PLAN, tmp_path / "cal")
-    assert not (tmp_path / "cal").exists()
-
-
-def test_a_session_split_of_one_session_is_refused_with_the_remedy(days, tmp_path) -> None:
-    with refused("one-session", SplitError):
-        calibrate(days(1)[0], CalibrationPlan(("x_mm",), split="session"), tmp_path / "cal")
-
-
-def test_a_target_that_is_the_session_is_refused_and_one_that_nearly_is_is_named(
-    days, tmp_path, rewritten
-) -> None:
-    runs = days(3)
-
-    def held(run, k, jitter):
-        rng = np.random.default_rng(k)
-        name = tmp_path / f"d{k}-{jitter}"
-        return rewritten(run, name, lambda row: {**row, "height_mm": 1.0 + k + jitter * rng.normal()})
-
-    plan = CalibrationPlan(("height_mm",), size_px=(24, 32))
-    with refused("session-is-target", SplitError):
-        calibrate([held(run, k, 0.0) for k, run in enumerate(runs)], plan, tmp_path / "cal")
-    calibrate([held(run, k, 0.05) for k, run in enumerate(runs)], plan, tmp_path / "cal")
-    (finding,) = read_card(tmp_path / "cal").sessions.findings
-    assert (finding.code, finding.target) == (FindingCode.SESSION_TELLS_TARGET, "height_mm")
-
-
-@pytest.fixture(scope="module")
-def kept(record_spots_module, tmp_path_factory) -> Path:
-    """One day's calibration, for all tests to copy."""
-    lamp = float(np.random.default_rng(5).normal(0, 6, 40)[0])
-    return calibrate(
-        record_spots_module("day0", 20, seed=0, lamp=lamp), PLAN, tmp_path_factory.mktemp("kept") / "cal"
-    )
-
-
-@pytest.fixture
-def calibrated(kept, tmp_path) -> Path:
-    return Path(shutil.copytree(kept, tmp_path / "cal"))
-
-
-def test_an_altered_or_foreign_evaluation_is_refused_by_name(calibrated, days, tmp_path) -> None:
-    (run,) = days(1, first=1)
-    path = keep_evaluation(calibrated, evaluate(Estimator.open(calibrated), run))
-    text = path.read_text()
-    card = read_card(calibrated)
-    for damaged in (text.replace('"frames_scored": 40', '"frames_scored": 41'), text[:-30], "", "[1, 2]"):
-        path.write_text(damaged)
-        with pytest.raises(CertificateError, match=path.name):
-            read_evaluations(calibrated, card)
-    calibrate(run, PLAN, tmp_path / "other")
-    shutil.move(path, tmp_path / "other" / path.name)
-    (tmp_path / "other" / path.name).write_text(text)
-    with refused("other-calibration", CertificateError, card.id):
-        read_evaluations(tmp_path / "other", read_card(tmp_path / "other"))
-    with refused("other-calibration", CertificateError):
-        keep_evaluation(tmp_path / "other", evaluate(Estimator.open(calibrated), run))
-
-
-def test_a_run_of_a_session_that_was_learnt_from_is_no_other_day(days, tmp_path, rewritten) -> None:
-    runs = days(3)
-    calibrate(runs[:2], PLAN, tmp_path / "cal")
-    estimator = Estimator.open(tmp_path / "cal")
-    for run in runs[:2]:
-        assert evaluate(estimator, run)["learnt_from_this_run"]
-    assert evaluate(estimator, runs[2])["same_session"] == ""
-    named = rewritten(runs[2], tmp_path / "named", lambda row: {**row, "session": "day0"})
+def test_a_run_of_a_trained_session_is_not_another_day(day, three, tmp_path, rewritten) -> None:
+    estimator = Estimator.open(three)
+    assert evaluate(estimator, day(1))["learnt_from_this_run"]
+    assert evaluate(estimator, day(3))["same_session"] == ""
+    named = rewritten(day(3), tmp_path / "named", lambda row: {**row, "session": "day0"})
     found = evaluate(estimator, named)
     assert not found["learnt_from_this_run"]
     assert "day0" in found["same_session"]
 
 
+def test_nine_sessions_are_distribution_free(day, tmp_path) -> None:
+    plan = replace(PLAN, model="mean", size_px=(6, 8))
+    card = read_card(calibrate([day(k, 2) for k in range(9)], plan, tmp_path / "cal"))
+    assert (card.sessions.rule, card.sessions.rank, card.sessions.factor) == ("distribution-free", 9, None)
+
+
+def test_one_session_is_not_tested_and_is_covered_less_on_the_next(day, one) -> None:
+    card = read_card(one)
+    assert (card.sessions.rule, card.sessions.held_out, card.sessions.runs) == ("one session", 0, ())
+    found = evaluate(Estimator.open(one), day(1, 8))
+    assert found["same_session"] == ""
+    assert found["targets"]["height_mm"]["coverage_90"] < 0.5
+
+
+def test_one_session_under_two_names_is_refused(day, tmp_path, rewritten) -> None:
+    again = rewritten(day(0), tmp_path / "again")
+    with refused("session-twice", InputError):
+        calibrate([day(0), day(1), again], PLAN, tmp_path / "cal")
+    with pytest.raises(InputError, match="one recording"):
+        calibrate([day(0), day(0)], PLAN, tmp_path / "cal")
+    assert not (tmp_path / "cal").exists()
+
+
+def test_a_session_split_of_one_session_is_refused(day, tmp_path) -> None:
+    with refused("one-session", SplitError):
+        calibrate(day(0), CalibrationPlan(("x_mm",), split="session"), tmp_path / "cal")
+
+
+def test_a_target_that_is_the_session_is_refused_and_one_that_nearly_is_is_named(
+    day, tmp_path, rewritten
+) -> None:
+    def held(k, jitter):
+        rng, name = np.random.default_rng(k), tmp_path / f"d{k}-{jitter}"
+        return rewritten(day(k), name, lambda row: {**row, "height_mm": 1.0 + k + jitter * rng.normal()})
+
+    plan = CalibrationPlan(("height_mm",), "mean", size_px=(6, 8))
+    with refused("session-is-target", SplitError):
+        calibrate([held(k, 0.0) for k in range(3)], plan, tmp_path / "cal")
+    calibrate([held(k, 0.05) for k in range(3)], plan, tmp_path / "cal")
+    (finding,) = read_card(tmp_path / "cal").sessions.findings
+    assert (finding.code, finding.target) == (FindingCode.SESSION_TELLS_TARGET, "height_mm")
+
+
+def test_an_altered_or_foreign_evaluation_is_refused_by_name(day, one, three, tmp_path) -> None:
+    own, other = (Path(shutil.copytree(kept, tmp_path / kept.parent.name)) for kept in (one, three))
+    found = evaluate(Estimator.open(own), day(3))
+    path = keep_evaluation(own, found)
+    text, card = path.read_text(), read_card(own)
+    for damaged in (text.replace('"frames_scored": 25', '"frames_scored": 26'), text[:-30], "", "[1, 2]"):
+        path.write_text(damaged)
+        with pytest.raises(CertificateError, match=path.name):
+            read_evaluations(own, card)
+    (other / path.name).parent.mkdir(exist_ok=True)
+    (other / path.name).write_text(text)
+    with refused("other-calibration", CertificateError, card.id):
+        read_evaluations(other, read_card(other))
+    with refused("other-calibration", CertificateError):
+        keep_evaluation(other, found)
+
+
 @pytest.mark.slow
 def test_rows_of_a_new_session_set_the_intervals_anew_and_the_network_stays(
-    days, tmp_path, monkeypatch
+    day, tmp_path, monkeypatch
 ) -> None:
     monkeypatch.setattr(perturbation_suite, "MIN_ROWS", MIN_ROWS)  # changes are tried, here
-    first = days(1, presses=20)[0]
+    first = day(0, 20)
     calibrate(first, PLAN, tmp_path / "cal")
-    few, fresh = days(1, presses=25, first=1)[0], days(1, presses=1, first=2)[0]
+    few, fresh = day(1, 25), day(2, 1)
     before = {path.name: sha256_of(path) for path in (tmp_path / "cal").iterdir()}
     card = reset_intervals(tmp_path / "cal", few, tmp_path / "anew")
     assert {path.name: sha256_of(path) for path in (tmp_path / "cal").iterdir()} == before
@@ -370,7 +355,7 @@ def test_rows_of_a_new_session_set_the_intervals_anew_and_the_network_stays(
 
 
 def test_angles_and_vectors_of_a_new_session_are_covered_at_the_rate_that_its_rows_set() -> None:
-    """Twice the errors of the day before, over 80 drawings of 60 rows; the former intervals fail."""
+    """Twice the errors of the day before, over 40 drawings of 60 rows; the former intervals fail."""
     rng, layout = np.random.default_rng(0), TargetLayout((None, 360.0, None, None))
 
     def rows(n: int, size: float) -> tuple[np.ndarray, np.ndarray]:
@@ -392,9 +377,9 @@ def test_angles_and_vectors_of_a_new_session_are_covered_at_the_rate_that_its_ro
     def scaled(outputs: np.ndarray, true: np.ndarray) -> np.ndarray:
         return (former.errors(outputs, true) / former.spread.at(outputs))[:, 2:]
 
-    fresh = rows(4000, 2.0)
+    fresh = rows(2000, 2.0)
     covered, joint, reach = [], [], []
-    for _ in range(80):
+    for _ in range(40):
         few = rows(60, 2.0)
         anew = intervals_set_anew(former, *few, np.arange(60))
         covered.append(anew.hold(*fresh).mean(axis=0))

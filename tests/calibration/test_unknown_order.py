@@ -14,6 +14,8 @@ from palpate.estimators.certified import read_card
 from palpate.estimators.findings import FindingCode
 from palpate.recordings import Run, import_images
 
+pytestmark = pytest.mark.usefixtures("changes_untried")
+
 
 @pytest.fixture
 def named_by_place(tmp_path):

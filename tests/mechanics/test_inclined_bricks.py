@@ -32,7 +32,7 @@ def pressed(tilt: float, approach_mm: float, mpa: float = np.inf):
 
 @pytest.fixture(scope="module")
 def tilted():
-    return pressed(TILT, 0.6)
+    return pressed(TILT, 0.3)
 
 
 def test_a_stiffness_is_the_derivative_of_the_forces_and_its_factors_undo_it(tilted) -> None:
@@ -51,7 +51,7 @@ def test_a_stiffness_is_the_derivative_of_the_forces_and_its_factors_undo_it(til
 
 @pytest.mark.parametrize("mpa", [np.inf, pytest.param(0.2419, marks=pytest.mark.slow)])
 def test_head_on_the_force_is_the_tables(mpa) -> None:
-    press, state = pressed(0.0, 1.0, mpa)
+    press, state = pressed(0.0, 0.6, mpa)
     upright = tip_table("base").press(1e6 * mpa)
     force = upright.force_at(np.array([1e-3 * state.approach]))[0]
     assert_allclose(press.force(state)[2], force, rtol=0.04)
@@ -77,7 +77,7 @@ def test_force_is_along_the_tops_normal_which_leans_away_from_where_it_touches(t
     assert_allclose(force[0] / force[2], -np.tan(TILT), rtol=1e-9)
     where = state.touched.places[state.touched.pressure > 1e-3]
     assert (where[:, 0] > 5.0).all()
-    other, mirrored = pressed(-TILT, 0.6)
+    other, mirrored = pressed(-TILT, 0.3)
     assert_allclose(other.force(mirrored) * [-1, 1, 1], force, rtol=1e-3, atol=1e-6)
     assert not np.allclose(other.force(mirrored)[0], force[0], rtol=0.5)
 

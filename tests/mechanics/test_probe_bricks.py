@@ -66,7 +66,7 @@ def test_what_was_eliminated_by_halves_solves_the_whole():
 def test_a_balls_force_and_the_floors_are_those_of_the_balls_table():
     """On bricks of 0.3 radii; on those of 0.2 radii 0.5 % at 0.1 R and 0.07 to 0.3 % from 0.2 to 1.2 R."""
     table, press, radius = SphereTable.load("sphere-h2-mu0"), coarse(shapes.Balls(0.5, 0.0)), 0.5
-    for depth, u in press.through([0.1, 0.2]):
+    for depth, u in press.through([0.1]):
         asked = float(table.force_at(np.array([depth / radius]))[0]) * radius**2
         assert press.force(u, depth) == pytest.approx(asked, rel=0.015)
         assert -press.reaction(u) == pytest.approx(press.force(u, depth), rel=1e-4)

@@ -71,7 +71,7 @@ HISTORIES = {
 @pytest.mark.cases(2)
 def test_turning_points_alone_are_the_history_that_many_samples_are(law, name):
     t, d = (np.array(values, dtype=float) for values in HISTORIES[name])
-    every = np.unique(np.concatenate([np.linspace(*ends, 2001) for ends in pairwise(t)]))
+    every = np.unique(np.concatenate([np.linspace(*ends, 1201) for ends in pairwise(t)]))
     fine = viscoelastic.ting(every, np.interp(every, t, d), R, SKIN, NU)
     found, here = law(t, d, R, SKIN, NU), np.searchsorted(every, t)
     np.testing.assert_allclose(found.force_n, fine.force_n[here], atol=1e-5 * fine.force_n.max())

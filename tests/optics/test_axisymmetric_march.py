@@ -78,9 +78,9 @@ def test_the_compiled_march_is_the_plain_one(off_centre, frozen):
     spectrum = assumed_camera()
     optics = LAW.half_phase(spectrum.wavelength_m), spectrum.weight
     for amplitude in (plane_amplitude(np.pi / 4, 31), circular_amplitude(spectrum.wavelength_m)):
-        args = dimple_field(), view(off_centre=off_centre), *optics, amplitude
+        args = dimple_field(), view(30, 25, off_centre), *optics, amplitude
         fast = march_axisymmetric(*args, frozen_pa=frozen)
-        assert fast.light.shape == (50, 60, 3)
+        assert fast.light.shape == (25, 30, 3)
         assert fast.light.max() > 0.2
         assert_equal_light(fast, march_axisymmetric_plain(*args, frozen_pa=frozen))
 

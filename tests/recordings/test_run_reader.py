@@ -340,7 +340,7 @@ def scratch(written: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 NAMES = st.sampled_from(["0000-frames.mcap", "0000-signals.mcap"])
 
 
-@settings(max_examples=25)
+@settings(max_examples=12)
 @given(
     name=NAMES,
     records=st.lists(
@@ -359,7 +359,7 @@ def test_arbitrary_messages_with_good_checksums_raise_nothing_but_our_own_errors
     read_everything(scratch)
 
 
-@settings(max_examples=25)
+@settings(max_examples=12)
 @given(
     channel=st.sampled_from([message_schema.SEGMENT, message_schema.LABELS, message_schema.EVENTS]),
     value=st.recursive(

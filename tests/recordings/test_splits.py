@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given, strategies as st
+from hypothesis import given, settings, strategies as st
 from tests.refusals import refused
 
 from palpate.core import SplitError
@@ -19,6 +19,7 @@ def assert_parts_all_rows(parted: Split, rows: int) -> None:
         assert sorted([*fold, *parted.training_rows(k)]) == list(range(rows))
 
 
+@settings(max_examples=30)
 @given(
     presses=st.lists(st.integers(0, 12), min_size=30, max_size=80),
     folds=st.integers(2, 4),

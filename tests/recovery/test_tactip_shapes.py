@@ -60,6 +60,7 @@ def read(spec, calibration, body, seed=77):
 
 
 @pytest.mark.parametrize(("modulus_mpa", "radius_mm"), [(0.15, 30), (0.06, 25), (0.2, 50)])
+@pytest.mark.cases(1)
 def test_a_soft_spheres_modulus_and_radius_are_found(spec, calibration, modulus_mpa, radius_mm) -> None:
     found = read(spec, calibration, f"sphere:R_mm={radius_mm},E_MPa={modulus_mpa}")
     E, R = 1e6 * modulus_mpa / PLANE, 1e-3 * radius_mm
@@ -92,11 +93,14 @@ def test_a_flat_is_read_as_flat_and_keeps_its_stiffness(spec, calibration) -> No
         assert getattr(found, name).valid
 
 
-def test_a_thin_layer_has_no_valid_modulus(spec, calibration) -> None:
-    for body in ("layer:h_mm=2,E_MPa=0.1", "layer:h_mm=4,E_MPa=0.03", "layer:h_mm=8,E_MPa=0.03"):
-        found = read(spec, calibration, body)
-        assert not found.modulus.valid
-        assert "layer on a hard base" in found.modulus.why
+@pytest.mark.parametrize(
+    "body", ["layer:h_mm=2,E_MPa=0.1", "layer:h_mm=4,E_MPa=0.03", "layer:h_mm=8,E_MPa=0.03"]
+)
+@pytest.mark.cases(1)
+def test_a_thin_layer_has_no_valid_modulus(spec, calibration, body) -> None:
+    found = read(spec, calibration, body)
+    assert not found.modulus.valid
+    assert "layer on a hard base" in found.modulus.why
 
 
 def test_a_calibration_on_flats_alone_refuses_a_sphere(spec, references) -> None:

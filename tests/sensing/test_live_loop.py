@@ -357,7 +357,7 @@ def test_readings_come_in_an_async_loop() -> None:
 
 @pytest.fixture
 def spots(calibrate_spots, record_spots, tmp_path):
-    plan = {"targets": ("x_mm",), "split": "group:press", "size_px": (24, 32)}
+    plan = {"presses": 9, "targets": ("x_mm",), "split": "group:press", "size_px": (24, 32)}
     return calibrate_spots(tmp_path / "cal", **plan)[1], record_spots("fresh", 2, seed=4)
 
 
@@ -376,7 +376,7 @@ def test_live_gives_the_readings_of_sense_frame_by_frame(spots, tmp_path) -> Non
 def test_a_differential_calibration_says_that_it_needs_a_zero(
     calibrate_spots, record_spots, tmp_path
 ) -> None:
-    plan = {"targets": ("x_mm",), "split": "group:press", "size_px": (24, 32), "delta": True}
+    plan = {"presses": 9, "targets": ("x_mm",), "split": "group:press", "size_px": (24, 32), "delta": True}
     plan["reference"] = ReferenceRule.parse("reference=true", ("press",))
     calibration = calibrate_spots(tmp_path / "delta", **plan)[1]
     run = record_spots("fresh", 2, seed=4)

@@ -13,7 +13,7 @@ from palpate.sensing import open_source, sense
 
 @pytest.fixture
 def estimator(calibrate_spots, tmp_path):
-    plan = {"targets": ("x_mm",), "split": "group:press", "size_px": (24, 32)}
+    plan = {"presses": 9, "targets": ("x_mm",), "split": "group:press", "size_px": (24, 32)}
     return Estimator.open(calibrate_spots(tmp_path / "cal", **plan)[1])
 
 

@@ -112,7 +112,7 @@ class Pad:
             "kind": "stepped",
             "name": "pad",
             "places": {"kind": "listed", "at_mm": [[0.0, 0.0]]},
-            "cycles": 6,
+            "cycles": 3,
             "depth_mm": 0.6,
             "step_mm": 0.2,
             "frames": 2,
@@ -164,7 +164,20 @@ def test_a_sensor_of_one_folder_is_found_checked_recorded_and_calibrated(install
     assert (manifest.sensor, manifest.regions) == ("virtual pad", {"pad": (0, 0, 48, 48)})
     assert not (run / "presses").exists()
 
-    words = ["calibrate", str(run), "--targets", "depth_mm,force_N", "--out", str(cal), "--json", "--quiet"]
+    words = [
+        "calibrate",
+        str(run),
+        "--targets",
+        "force_N",
+        "--model",
+        "pca-ridge",
+        "--size",
+        "16x16",
+        "--out",
+        str(cal),
+        "--json",
+        "--quiet",
+    ]
     calibrated = CliRunner().invoke(app, words)
     assert calibrated.exit_code == 0, calibrated.output + calibrated.stderr
     scores = {one["column"]: one["score"] for one in json.loads(calibrated.stdout)["targets"]}

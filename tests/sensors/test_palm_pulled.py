@@ -12,7 +12,7 @@ from palpate.sensors import palm
 from palpate.sensors.palm.palm_sensor import Palm
 from palpate.sensors.palm.pulled_ball import is_pulled_ball, stress_about
 
-SPEC = palm.debug()
+SPEC = palm.cropped(palm.debug(), 40, "small")
 MM = 1e-3
 
 

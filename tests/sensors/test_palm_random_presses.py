@@ -20,24 +20,24 @@ SPEC = palm.cropped(palm.palm(), 32, "test")
 
 @pytest.fixture(scope="module")
 def alone():
-    return draw_presses(SPEC, 5, 3, np.random.default_rng(2))
+    return draw_presses(SPEC, 3, 4, np.random.default_rng(2))
 
 
 @pytest.mark.slow
 def test_what_is_drawn_does_not_depend_on_how_many_processes_draw(alone) -> None:
-    together = draw_presses(SPEC, 5, 3, np.random.default_rng(2), processes=2)
+    together = draw_presses(SPEC, 3, 4, np.random.default_rng(2), processes=2)
     for part in ("images", "hanging", "press", "values"):
         np.testing.assert_array_equal(getattr(together, part), getattr(alone, part))
 
 
 def test_every_frame_is_drawn_and_told_of(alone) -> None:
     told: list[tuple[int, int]] = []
-    again = draw_presses(SPEC, 5, 3, np.random.default_rng(2), lambda done, total: told.append((done, total)))
+    again = draw_presses(SPEC, 3, 4, np.random.default_rng(2), lambda done, total: told.append((done, total)))
     np.testing.assert_array_equal(again.images, alone.images)
-    assert alone.images.shape == (15, *SPEC.frame_px[::-1], 3)
-    assert alone.hanging.shape == (5, *SPEC.frame_px[::-1], 3)
-    assert alone.press.tolist() == np.repeat(np.arange(5), 3).tolist()
-    assert told[-1] == (20, 20)
+    assert alone.images.shape == (12, *SPEC.frame_px[::-1], 3)
+    assert alone.hanging.shape == (3, *SPEC.frame_px[::-1], 3)
+    assert alone.press.tolist() == np.repeat(np.arange(3), 4).tolist()
+    assert told[-1] == (15, 15)
     assert np.diff([done for done, _ in told]).min() > 0
 
 

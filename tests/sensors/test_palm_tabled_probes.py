@@ -76,7 +76,7 @@ def test_a_rigs_law_of_a_probe_is_the_tables_and_reaches_as_deep(words):
     sensor, probe = Palm(SPEC), palm.parse_probe(f"{words}:20")
     law = sensor.force_law(probe)
     assert law.greatest_m == pytest.approx(deepest(words))
-    for depth in (0.05e-3, 0.4e-3, 1.5e-3, 2.2e-3):
+    for depth in (0.05e-3, 1.5e-3):
         alone = sensor.press(probe, Pose(1e-3, -2e-3, depth))
         assert np.interp(depth, law.depth_m, law.force_n) == pytest.approx(alone.force_n, rel=1e-3)
         assert np.interp(depth, law.depth_m, law.radius_m) == pytest.approx(alone.radius_m, rel=0.01)

@@ -1,6 +1,7 @@
 """Copies of a palm, temperature, and the lens in its frame."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
@@ -9,6 +10,7 @@ from tests.refusals import refused
 from palpate.core import Pose, RangeError
 from palpate.optics.image_chain import ImageChain
 from palpate.sensors import palm
+from palpate.sensors.palm import fringe_orders
 from palpate.sensors.palm.fringe_orders import contact_summary
 from palpate.sensors.palm.palm_variation import ROOM_K, CopySpread, drawn_palm, warmed
 
@@ -38,7 +40,8 @@ def test_copies_differ_by_the_stated_spread_and_by_nothing_else(rng) -> None:
     assert drawn_palm(SPEC, rng, NOWHERE) == replace(SPEC, rim="applied", chain=ImageChain(jpeg_quality=95))
 
 
-def test_warmth_changes_the_force_and_not_the_picture() -> None:
+def test_warmth_changes_the_force_and_not_the_picture(monkeypatch) -> None:
+    monkeypatch.setattr(fringe_orders, "edge_on", partial(fringe_orders.edge_on, points=31))
     warm = warmed(SPEC, ROOM_K + 29.6)
     cold_press, warm_press = (palm.press(one, Pose(0.0, 0.0, 2e-3)) for one in (SPEC, warm))
     assert_allclose(warm_press.force_n / cold_press.force_n, 1.1)

@@ -83,10 +83,11 @@ def test_a_probe_that_does_not_press_shows_the_membrane_at_rest(coarse):
     [("sphere:8", (0.3, -0.2))],
 )
 def test_finer_planes_slices_and_rays_change_no_8_bit_step(words, lateral_n, monkeypatch):
+    spec = palm.cropped(SPEC, 32, "small")
     contact = layered(words, lateral_n=lateral_n)
-    one = fringe_rays.march_contact(SPEC, contact)
+    one = fringe_rays.march_contact(spec, contact)
     for name, value in (("PLANES", 40), ("SLICES", 160), ("MORE_SLICES", 80), ("MAX_ACROSS_M", 0.05e-3)):
         monkeypatch.setattr(fringe_rays, name, value)
-    two = fringe_rays.march_contact(SPEC, contact)
-    assert rms(below(one - two, 1.1e-3)) < 0.1 * STEP
-    assert np.quantile(abs(below(one - two, 1.1e-3)), 0.999) < STEP
+    two = fringe_rays.march_contact(spec, contact)
+    assert rms(below(one - two, 1.1e-3, spec)) < 0.1 * STEP
+    assert np.quantile(abs(below(one - two, 1.1e-3, spec)), 0.999) < STEP

@@ -13,7 +13,7 @@ from palpate.sensors.tactip.skin_and_markers import head_on
 from palpate.sensors.tactip.skin_through_camera import skin_places_m, untouched_area_m2
 from palpate.sensors.tactip.tactip_press import _projected, pictured
 
-LENS = Lens("kannala-brandt", (330.0, 332.0), (199.0, 203.0), (-0.12, 0.05, -0.01, 0.0), (400, 400))
+LENS = Lens("kannala-brandt", (220.0, 221.0), (133.0, 135.0), (-0.12, 0.05, -0.01, 0.0), (267, 267))
 
 
 def true_mm2(spec) -> float:
@@ -34,7 +34,7 @@ def frame(places: np.ndarray, radius: float, size: int, seed: int) -> np.ndarray
     reach = np.hypot(*(places - places.mean(axis=0)).T).max()
     for angle in np.arange(5) * 1.256 + 0.3:
         at = places.mean(axis=0) + 1.2 * reach * np.array([np.cos(angle), np.sin(angle)])
-        image = np.maximum(image, _blob(x, y, Glare(at, 12.0, 5.0, angle + 1.57, 255.0)))
+        image = np.maximum(image, _blob(x, y, Glare(at, 0.04 * size, 0.017 * size, angle + 1.57, 255.0)))
     return np.clip(np.rint(image + 2 * rng.standard_normal(image.shape)), 0, 255).astype(np.uint8)
 
 
@@ -56,7 +56,7 @@ def test_the_area_is_the_same_through_a_wide_lens() -> None:
     spec = tactip(127)
     tangent, _ = _projected(spec, untouched(spec))
     places = LENS.project(np.column_stack([tangent, np.ones(len(tangent))]))
-    found = find_pins(frame(places, 4.5, 400, seed=1))
+    found = find_pins(frame(places, 3.0, 267, seed=1))
     assert_allclose(1e6 * untouched_area_m2(spec, found.xy_px, found.cells, LENS), true_mm2(spec), rtol=0.01)
     wrong = Lens("pinhole", LENS.focal_px, LENS.centre_px, (0.0,) * 5, LENS.size_px)
     assert abs(1e6 * untouched_area_m2(spec, found.xy_px, found.cells, wrong) / true_mm2(spec) - 1) > 0.02

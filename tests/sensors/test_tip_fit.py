@@ -29,19 +29,18 @@ TRUE = TipTerms(
     lever_mm=0.8, camera_mm=50.0, depth_zero_mm=0.4, edge_rad=1.05, tilt_xy=-0.9, tilt_yx=0.9,
     shear_xx=-0.8, shear_yy=-0.85, twist=0.7, slip_mm=1.2,
 )  # fmt: skip
-RINGS = 5
 
 
-def layout() -> np.ndarray:
-    """91 pins about (150, 140) px, 22 px apart."""
+def layout(rings: int = 5, pitch_px: float = 22.0) -> np.ndarray:
+    """Pins about (150, 140) px; 91 in five rings."""
     steps = [
-        (i, j) for i in range(-RINGS, RINGS + 1) for j in range(-RINGS, RINGS + 1) if abs(i + j) <= RINGS
+        (i, j) for i in range(-rings, rings + 1) for j in range(-rings, rings + 1) if abs(i + j) <= rings
     ]
     i, j = np.array(steps).T
-    return np.stack([150 + 22 * (i + j / 2), 140 + 22 * np.sqrt(0.75) * j], axis=1)
+    return np.stack([150 + pitch_px * (i + j / 2), 140 + pitch_px * np.sqrt(0.75) * j], axis=1)
 
 
-TIP = PosedTip(layout(), 0.5)
+TIP, SMALL = PosedTip(layout(), 0.5), PosedTip(layout(3, 36.7), 0.5)
 
 
 def poses(count: int, seed: int = 0) -> np.ndarray:
@@ -49,10 +48,10 @@ def poses(count: int, seed: int = 0) -> np.ndarray:
     return rng.uniform([0.5, -20, -20, -4, -4, -5], [5.5, 20, 20, 4, 4, 5], (count, 6))
 
 
-def tapped(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+def tapped(count: int, seed: int = 0, tip: PosedTip = TIP) -> tuple[np.ndarray, np.ndarray]:
     """Taps of the true tip, each slipped by half a pixel, its pins found to a tenth."""
     at, rng = poses(count, seed), np.random.default_rng([seed, 1])
-    places = TIP.places_px(TRUE, at) + 0.5 * rng.standard_normal((count, 1, 2))
+    places = tip.places_px(TRUE, at) + 0.5 * rng.standard_normal((count, 1, 2))
     return at, places + 0.1 * rng.standard_normal(places.shape)
 
 
@@ -77,20 +76,20 @@ def test_plate_that_carries_all_carries_pins_by_its_own_motion() -> None:
     assert_allclose(turned, (still - TIP.middle_px) @ rotation, atol=0.02)
 
 
-@pytest.fixture(scope="module")
-def fitted():
-    return fit_tip(TIP, *tapped(90))
-
-
-def test_terms_come_back_within_their_intervals_and_what_is_left_is_the_taps_own(fitted) -> None:
+@pytest.mark.parametrize(
+    ("tip", "taps", "lever_mm"), [(SMALL, 40, 0.3), pytest.param(TIP, 90, 0.15, marks=pytest.mark.slow)]
+)
+def test_terms_come_back_within_their_intervals_and_what_is_left_is_the_taps_own(tip, taps, lever_mm) -> None:
+    """The error of the lever falls with the root of the number of pins seen."""
+    fitted = fit_tip(tip, *tapped(taps, tip=tip))
     away = (np.array(fitted.terms) - np.array(TRUE)) / np.array(fitted.spread)
     told = [abs(z) for z, name in zip(away, TipTerms._fields, strict=True) if name not in fitted.untold]
     assert np.mean(np.array(told) < 1.645) > 0.6
     assert max(told) < 6
-    assert abs(fitted.terms.lever_mm - TRUE.lever_mm) < 0.15
-    judged = judge_tip(fitted, tapped(90), tapped(40, 7))
+    assert abs(fitted.terms.lever_mm - TRUE.lever_mm) < lever_mm
+    judged = judge_tip(fitted, tapped(taps, tip=tip), tapped(30, 7, tip))
     assert judged.residual_px < 1.3 * np.hypot(0.5, 0.1) * np.sqrt(2)
-    assert judged.floor_px > judged.residual_px  # 90 taps are few for a polynomial of six values
+    assert judged.floor_px > judged.residual_px  # so few taps are few for a polynomial of six values
     assert judged.motion_px > 5 * judged.residual_px
 
 
@@ -101,7 +100,7 @@ def slipped(poses_: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.slow
-def test_poses_are_read_and_intervals_hold_them_where_the_tip_errs_smoothly(fitted) -> None:
+def test_poses_are_read_and_intervals_hold_them_where_the_tip_errs_smoothly() -> None:
     at, places = tapped(90)
     new, seen = tapped(200, 7)
     fit = fit_tip(TIP, at, places + slipped(at))
@@ -175,7 +174,7 @@ def shuffled(places: np.ndarray, rng: np.random.Generator) -> list[np.ndarray]:
 
 
 def test_pins_get_their_names_from_each_image_alone_although_spots_come_in_any_order_with_specks(rng) -> None:
-    at = poses(30, 3)
+    at = poses(12, 3)
     places = TIP.places_px(TRUE, at)
     named, layout = named_taps(shuffled(places, rng), (300, 320), 91)
     good = np.isfinite(named[..., 0]).any(axis=1)
@@ -189,7 +188,7 @@ def test_pins_get_their_names_from_each_image_alone_although_spots_come_in_any_o
 
 
 def test_another_number_of_pins_than_the_lattices_and_spots_on_none_are_refused(rng) -> None:
-    found = shuffled(TIP.places_px(TRUE, poses(5, 3)), rng)
+    found = shuffled(TIP.places_px(TRUE, poses(3, 3)), rng)
     with refused("pin-count", InputError):
         named_taps(found, (300, 320), 127)
     with refused("no-lattice", InputError):

@@ -68,7 +68,7 @@ def test_a_pinhole_on_fisheye_views_scores_worse_and_is_told():
 def test_a_pinhole_is_chosen_for_a_pinhole():
     """The tangential terms are beyond a fisheye's polynomial."""
     lens = replace(PINHOLE, distortion=(-0.18, 0.06, 6e-3, -4e-3, -0.01))
-    assert fit_lens(corner_views(lens, 16), BOARD).lens.model == "pinhole"
+    assert fit_lens(corner_views(lens, 9), BOARD).lens.model == "pinhole"
 
 
 def shifted(view, change):

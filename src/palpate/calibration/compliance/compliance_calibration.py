@@ -234,19 +234,18 @@ def calibrate_compliance(
         stacked = np.stack(rows)
         return fit_softness(kappa, [stacked[which == i] for i in flat])
 
-    both = shape = None
+    touch, both, shape = curve(touch_rows), None, None
     if all(press.position_m is not None for press in presses):
         approach_rows = [approach_row(press, LEVELS_N) for press in presses]
         joined = [np.concatenate(rows) for rows in zip(touch_rows, approach_rows, strict=True)]
         both = curve(joined)
         shape = fit_shapes([one.body for one in references], joined, which)
+    check_references(
+        [references[i].name for i in flat], touch, both, approach_px=APPROACH_PX, tilt_rad=tilt_rad
+    )
     flat_trials = [(i, t, m) for (i, t), m in zip(trials, motions_px, strict=True) if i in flat]
     motions, area, ring, rate, level = _areas(
         [(flat.index(i), t) for i, t, _ in flat_trials], [m for _, _, m in flat_trials], layout
-    )
-    touch = curve(touch_rows)
-    check_references(
-        [references[i].name for i in flat], touch, both, approach_px=APPROACH_PX, tilt_rad=tilt_rad
     )
     speeds = [press.speed_m_s for press in presses]
     finger = _finger(references)

@@ -19,7 +19,7 @@ from palpate.calibration.compliance.compliance_calibration import (
     shape_reasons,
     touch_row,
 )
-from palpate.calibration.compliance.cue_agreement import greatest_misfit, worst_misfit
+from palpate.calibration.compliance.cue_agreement import CueMisfit, greatest_misfit, worst_misfit
 from palpate.calibration.compliance.press_nuisances import Nuisances
 from palpate.calibration.compliance.press_verdict import drift_of, misfit_reasons, press_reasons
 from palpate.core import Drift, Float, InputError, RangeError, Reading, ndarray
@@ -113,13 +113,14 @@ def read_touch(
     """
     if not presses:
         raise InputError("no press; give one or more")
-    verdict = _Verdict(calibration, drift_of(calibration, presses), press_reasons(calibration, presses), name)
+    flat = worst_misfit(calibration, presses, flat=True)
+    reasons = press_reasons(calibration, presses, flat if calibration.shape is None else None)
+    verdict = _Verdict(calibration, drift_of(calibration, presses), reasons, name)
     read = replace(_read(calibration, presses, verdict), rigid_plate=calibration.rigid_plate)
     if calibration.nuisances is not None:
         read = _widened(read, _altered_values(calibration, presses, verdict), calibration.touch.turning_n_m)
         read = replace(read, nuisances=calibration.nuisances)
-    birge = worst_misfit(calibration, presses, flat=True).birge
-    return _stretched(calibration, _judged(calibration, presses, read), birge)
+    return _stretched(calibration, _judged(calibration, read, flat), flat.birge)
 
 
 def _stretched(calibration: ComplianceCalibration, read: PressReading, birge: float) -> PressReading:
@@ -134,9 +135,7 @@ def _stretched(calibration: ComplianceCalibration, read: PressReading, birge: fl
     return replace(read, **wide)
 
 
-def _judged(
-    calibration: ComplianceCalibration, presses: Sequence[PinPress], read: PressReading
-) -> PressReading:
+def _judged(calibration: ComplianceCalibration, read: PressReading, misfit: CueMisfit) -> PressReading:
     reasons = {name: _range_reasons(calibration, name, getattr(read, name)) for name in FIELDS}
     curved = calibration.shape is not None and _curved(read)
     if curved:
@@ -145,7 +144,7 @@ def _judged(
         flat = [Refusal(ReasonCode.CURVED, text), *_reasons_of(read.radius)]
         everywhere = []
     else:
-        flat = [] if calibration.shape is None else _not_flat(calibration, presses, read)
+        flat = [] if calibration.shape is None else _not_flat(calibration, read, misfit)
         everywhere = _disagreements(calibration, read)
     for name in FLAT_ONLY:
         reasons[name] += flat
@@ -155,10 +154,7 @@ def _judged(
     return replace(read, **checked)
 
 
-def _not_flat(
-    calibration: ComplianceCalibration, presses: Sequence[PinPress], read: PressReading
-) -> list[Refusal]:
-    misfit = worst_misfit(calibration, presses, flat=True)
+def _not_flat(calibration: ComplianceCalibration, read: PressReading, misfit: CueMisfit) -> list[Refusal]:
     return _reasons_of(read.radius) + misfit_reasons(misfit, greatest_misfit(calibration, flat=True))
 
 

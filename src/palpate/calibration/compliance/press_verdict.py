@@ -73,8 +73,14 @@ def drift_of(calibration: ComplianceCalibration, presses: Sequence[PinPress]) ->
     return Drift(wobble / calibration.wobble_px, MAX_DRIFT)
 
 
-def press_reasons(calibration: ComplianceCalibration, presses: Sequence[PinPress]) -> list[Refusal]:
-    """Return why no quantity of these presses is valid; empty where they resemble the references'."""
+def press_reasons(
+    calibration: ComplianceCalibration, presses: Sequence[PinPress], misfit: CueMisfit | None = None
+) -> list[Refusal]:
+    """Return why no quantity of these presses is valid; empty where they resemble the references'.
+
+    Args:
+        misfit: Result of `worst_misfit`, if it is already known.
+    """
     flaws = dict.fromkeys(flaw for one in presses for flaw in one.flaws)
     reasons = [Refusal(ReasonCode.FLAWED_PRESS, flaw) for flaw in flaws]
     if drift_of(calibration, presses).drifted:
@@ -83,7 +89,8 @@ def press_reasons(calibration: ComplianceCalibration, presses: Sequence[PinPress
     for code, ask in ASKED.items():
         answers = (ask(calibration, one, row) for one, row in zip(presses, rows, strict=True))
         reasons += [Refusal(code, why) for why in answers if why][:1]
-    return reasons + misfit_reasons(worst_misfit(calibration, presses), greatest_misfit(calibration))
+    misfit = misfit or worst_misfit(calibration, presses)
+    return reasons + misfit_reasons(misfit, greatest_misfit(calibration))
 
 
 def misfit_reasons(misfit: CueMisfit, limit: CueMisfit) -> list[Refusal]:

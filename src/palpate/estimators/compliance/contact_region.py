@@ -95,8 +95,7 @@ def ring_px(field: Field) -> float:
         return -float(fit @ x ** np.array(POWERS))
 
     grid = np.linspace(0.05, 1.0, 191)
-    values = np.array([inward(x) for x in grid])
-    best = int(np.argmin(values))
+    best = int(np.argmax(grid[:, None] ** np.array(POWERS) @ fit))
     if best in (0, len(grid) - 1):
         return float("nan")
     optimum = minimize_scalar(inward, bounds=(grid[best - 1], grid[best + 1]), method="bounded")

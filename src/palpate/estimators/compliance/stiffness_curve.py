@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 from scipy import stats
@@ -115,8 +115,18 @@ class SoftnessCurve:
         turning = turning_n_m or self.turning_n_m
         with np.errstate(divide="ignore"):
             kappa = self.turning_n_m * (1 / np.maximum(s, 0.0) - 1)
-        fit = np.linalg.solve(_powers(softness(self.kappa_n_m, turning), len(self.means)), self.means)
-        return _powers(softness(kappa, turning), len(self.means)) @ fit
+        return _powers(softness(kappa, turning), len(self.means)) @ self._fit(turning)
+
+    def _fit(self, turning_n_m: float) -> Float[ndarray, "k q"]:
+        """Return the coefficients of the polynomial through the references."""
+        if turning_n_m not in self._fits:
+            powers = _powers(softness(self.kappa_n_m, turning_n_m), len(self.means))
+            self._fits[turning_n_m] = np.linalg.solve(powers, self.means)
+        return self._fits[turning_n_m]
+
+    @cached_property
+    def _fits(self) -> dict[float, ndarray]:
+        return {}
 
     def of(self, presses: Vectors, coverage: float = 0.9) -> Softness:
         """Return the stiffness of a specimen.

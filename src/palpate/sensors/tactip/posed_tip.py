@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -116,8 +117,7 @@ class PosedTip:
 
     def places_px(self, terms: TipTerms, poses: Poses) -> Moved:
         """Pin positions at poses in the units of `POSE` [px]; depth is limited to the table's."""
-        table = tip_table(self.tip)
-        skin = InnerSkin.of(table.press(math.inf), table.radius_m)
+        skin = _inner_skin(self.tip)
         view = PinView.of(skin, terms.optics, self.gel_index)
         at = (self.rest_px - self.middle_px) / self.edge_px
         polar = view.polar_of(np.hypot(*at.T))
@@ -125,6 +125,12 @@ class PosedTip:
         rest = np.array([[self.rest_depth_mm, 0, 0, 0, 0, 0]], np.float64)
         untouched, moved = (_seen(skin, view, terms, roots, one) for one in (rest, poses))
         return self.rest_px + self.edge_px * (moved - untouched)
+
+
+@cache
+def _inner_skin(tip: str) -> InnerSkin:
+    table = tip_table(tip)
+    return InnerSkin.of(table.press(math.inf), table.radius_m)
 
 
 def _seen(skin: InnerSkin, view: PinView, q: TipTerms, roots: Float[ndarray, "p 3"], poses: Poses) -> Moved:
