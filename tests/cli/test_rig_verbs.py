@@ -81,7 +81,7 @@ def test_a_recorded_run_is_checked_calibrated_and_reported_without_further_optio
     assert (seen["crop_px"], seen["beside_px"]) == ([0, 0, 128, 128], [128, 0, 128, 128])
 
 
-def test_the_palms_protocol_is_previewed_with_its_numbers(tmp_path: Path) -> None:
+def test_the_palms_protocol_is_previewed_with_its_numbers(tmp_path: Path, figures_small) -> None:
     png = tmp_path / "places.png"
     code, out, _ = typed("plan", "preview", "palm", "--png", png, "--json")
     found = json.loads(out)

@@ -162,7 +162,7 @@ def study(tmp_path) -> Path:
     return tmp_path
 
 
-def test_the_verb_prints_answers_first_and_makes_one_page(study: Path, tmp_path) -> None:
+def test_the_verb_prints_answers_first_and_makes_one_page(study: Path, tmp_path, figures_blank) -> None:
     page = tmp_path / "study.html"
     said = palpate("experiment", "analyze", study, "--out", page)
     assert said.startswith("Pairs: ")

@@ -92,14 +92,15 @@ def test_answers_without_a_slope_have_wide_intervals_and_say_so(given, code, bou
         assert not fit.spread.bounded[0]
 
 
-def test_the_deviance_is_judged_at_its_rate_and_sees_answers_that_scatter_too_much() -> None:
+@pytest.mark.parametrize("studies", [20, pytest.param(80, marks=pytest.mark.slow)])
+def test_the_deviance_is_judged_at_its_rate_and_sees_answers_that_scatter_too_much(studies: int) -> None:
     truth, rng = PsychometricFunction(SigmoidShape.GAUSSIAN, 3.0, 0.8), np.random.default_rng(2)
 
     def p(k) -> float:
         return fit_psychometric(LEVELS, k, [30] * 5, deviance_draws=99, rng=rng).deviance_p
 
-    small = sum(p(rng.binomial(30, truth(LEVELS))) < 0.1 for _ in range(80))
-    low, high = stats.binom.ppf([0.001, 0.999], 80, 0.1)
+    small = sum(p(rng.binomial(30, truth(LEVELS))) < 0.1 for _ in range(studies))
+    low, high = stats.binom.ppf([0.001, 0.999], studies, 0.1)
     assert low <= small <= high
     assert p([12, 2, 25, 12, 30]) < 0.02
 

@@ -54,8 +54,8 @@ def assert_recovered(found: dict[str, float], studies: int) -> None:
 
 
 @pytest.mark.parametrize("name", ["gaussian", "weibull"])
-def test_known_parameters_are_recovered_in_120_studies(name: str) -> None:
-    assert_recovered(recovered(name, 120, seed=3), 120)
+def test_known_parameters_are_recovered_in_30_studies(name: str) -> None:
+    assert_recovered(recovered(name, 30, seed=3), 30)
 
 
 @pytest.mark.slow

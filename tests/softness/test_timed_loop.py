@@ -13,6 +13,12 @@ from palpate.core import RangeError
 from palpate.softness.control.timed_loop import LATE_S, LoopTiming, Pace, run_paced, run_timed
 
 
+@pytest.fixture(autouse=True)
+def no_search(monkeypatch) -> None:
+    """A search of all that pytest holds takes seconds."""
+    monkeypatch.setattr(gc, "collect", lambda: 0)
+
+
 def test_a_loop_begins_once_in_a_period() -> None:
     timing = run_timed(lambda: None, 0.3)
     assert 20 < len(timing.work_s) <= 301  # a busy machine misses some, and none is too many

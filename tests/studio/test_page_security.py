@@ -105,11 +105,9 @@ class Served:
         self._own.cleanup()
 
 
-@pytest.fixture(scope="module")
-def served():
-    served = Served()
-    yield served
-    served.close()
+@pytest.fixture
+def served(plain_served):
+    return plain_served
 
 
 def own(served, name="localhost"):

@@ -12,9 +12,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.figure import Figure
 from tests.fakes.printing_scale import PrintingScale
 from tests.refusals import refused
 from tests.rig.serial_terminal import FakeTerminal
+from tests.small_figures import saved_blank
 
 import palpate
 from palpate.calibration.coverage.conformal import fit_intervals
@@ -25,12 +27,20 @@ from palpate.recordings import Run, RunWriter
 from palpate.sensing.collection import learning_curve
 from palpate.sensing.collection.learning_curve import curve_of
 from palpate.sensing.collection.press_collector import REST, presses_in
+from palpate.workflows import stored_session
 from palpate.workflows.certificate_sentence import beats_the_mean, rate_beyond
 from palpate.workflows.press_feeds import VirtualFeed
 from palpate.workflows.start_session import StartSession
 from palpate.workflows.stored_session import STATE
 
-pytestmark = pytest.mark.usefixtures("changes_untried")
+
+@pytest.fixture(scope="module", autouse=True)
+def quickly_learnt(changes_untried):
+    """A model that is fitted in no time, and pages without pictures: neither is what a session decides."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(stored_session, "MODEL", "pca-ridge")
+        patched.setattr(Figure, "savefig", saved_blank)
+        yield
 
 
 def begun(folder: Path, presses: int = 10) -> StartSession:
@@ -40,7 +50,7 @@ def begun(folder: Path, presses: int = 10) -> StartSession:
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory, changes_untried: None) -> StartSession:
+def whole(tmp_path_factory: pytest.TempPathFactory, quickly_learnt: None) -> StartSession:
     session = begun(tmp_path_factory.mktemp("start") / "session")
     feed = session.feed()
     session.check_settings(feed)
