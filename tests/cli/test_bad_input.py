@@ -1,7 +1,5 @@
 """Plug-ins and files that cannot be used, as typed: one line that names them and the law, status 2."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Iterator

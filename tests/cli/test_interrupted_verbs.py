@@ -1,7 +1,5 @@
 """Ctrl-C in a verb: what is said then holds for what the verb does."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

@@ -1,7 +1,5 @@
 """`palpate live`, as typed: what it prints, what it keeps, and that nothing it keeps is ever half."""
 
-from __future__ import annotations
-
 import fcntl
 import json
 import os

@@ -1,7 +1,5 @@
 """Every registered sensor keeps the laws of the contract; for each law there is a sensor that breaks it."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -117,10 +115,7 @@ WRONG: dict[str, dict[str, Any]] = {
     "image-scale": {"axes": replace(SOUND.axes, across=tuple(px / 3 for px in SOUND.axes.across))},
     "plan-inside": {
         "outline": Outline.disc(57e-3),
-        "default_plan": lambda: {
-            "kind": "listed",
-            "places": {"kind": "listed", "at_mm": [[26.0, 0.0]]},
-        },
+        "default_plan": lambda: {"kind": "listed", "places": {"kind": "listed", "at_mm": [[26.0, 0.0]]}},
     },
     "rectified-size": {"rectified_px": (100, 50)},
     "probe-refused": {"probe": any_probe},

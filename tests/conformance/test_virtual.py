@@ -1,7 +1,5 @@
 """The public checks pass what keeps the protocols, and tell each fault by the law that it breaks."""
 
-from __future__ import annotations
-
 import math
 import threading
 from dataclasses import replace
@@ -345,13 +343,7 @@ def test_the_virtual_stage_keeps_every_law() -> None:
         (TakesNoNumber, {"refuses-nan"}),
         (TakesAnySpeed, {"refuses-speed"}),
         (RefusesWithAnotherError, {"refuses-outside-travel"}),
-        (
-            TakesASecondMove,
-            {
-                "second-move-refused",
-                "first-move-continues",
-            },
-        ),
+        (TakesASecondMove, {"second-move-refused", "first-move-continues"}),
         (RunsOn, {"overshoot-x"}),
         (ReturnsBeforeItStands, {"stands-after-stop-x"}),
         (GoesOnToTheTarget, {"stops-short-y"}),

@@ -1,7 +1,5 @@
 """The virtual rig of every sensor passes the public check of a rig."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

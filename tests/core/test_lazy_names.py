@@ -1,7 +1,5 @@
 """Names that packages import on first use; type checkers see only names that exist."""
 
-from __future__ import annotations
-
 import ast
 from importlib import import_module
 

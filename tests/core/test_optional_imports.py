@@ -1,7 +1,5 @@
 """A missing optional package always names its extra; each extra is blocked alone and all at once."""
 
-from __future__ import annotations
-
 import ast
 import subprocess
 import sys

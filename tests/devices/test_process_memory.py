@@ -1,7 +1,5 @@
 """Memory of a process that serves a device for hours."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 import subprocess

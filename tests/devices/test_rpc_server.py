@@ -1,7 +1,5 @@
 """Laws of the process that others ask: what it was asked last is answered, also where that ends it."""
 
-from __future__ import annotations
-
 import os
 import resource
 import socket

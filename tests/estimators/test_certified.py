@@ -57,7 +57,6 @@ def test_an_image_is_read_as_its_frame_is(calibration) -> None:
 
 @pytest.mark.parametrize("coloured", [True, False])
 def test_a_grey_image_is_not_read_as_one_of_colour(calibration, coloured: bool) -> None:
-    """The same frame in colour is; so is a grey one where grey ones were learnt from."""
     run, folder = calibration
     opened = Estimator.open(folder)
     image, parts = run.frame(1).image, (opened.card, opened._session, opened._novelty)

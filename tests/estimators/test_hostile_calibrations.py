@@ -1,7 +1,5 @@
 """Calibrations from a stranger: each is refused by its code, before a runtime sees it, in at most 1 GB."""
 
-from __future__ import annotations
-
 import ast
 import io
 import json

@@ -210,7 +210,6 @@ def test_a_neighbour_counts_by_its_distance_and_a_hundredth_of_the_mean_one() ->
 
 
 def test_drift_counts_in_half_grey_levels_where_references_agree() -> None:
-    """Two averages of one scene never agree better, whatever equal references suggest."""
     rng = np.random.default_rng(5)
     ground = np.full((8, 64, 64, 1), 70, np.uint8)
     fitted = fit_novelty_detector(thumbnails(scene(rng, 60)), folds_of(60, rng), thumbnails(ground))

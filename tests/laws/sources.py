@@ -1,7 +1,5 @@
 """Source files of both distributions, each read and parsed once for all laws."""
 
-from __future__ import annotations
-
 import ast
 import re
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The house rules that a machine can check. Rooms are found, not listed: a new one needs no edit here."""
 
-from __future__ import annotations
-
 import ast
 import re
 import subprocess
@@ -89,7 +87,6 @@ def test_scripts_that_seldom_run_import_only_what_exists() -> None:
 
 
 def test_every_package_offers_exactly_its_public_names() -> None:
-    """Type checkers see that what is imported exists."""
     for room in ROOMS:
         package = tree(MODULES[room])
         bound = {
@@ -157,7 +154,6 @@ def test_importing_palpate_and_its_verbs_loads_nothing_heavy(tmp_path: Path) -> 
 
 
 def test_only_what_trains_needs_torch_and_nothing_needs_jaxtyping() -> None:
-    """No other module loads one of them, itself or through what it loads, its packages included."""
     needs = {
         name: {part for source, one in when_loaded(module.body) for part in (source, f"{source}.{one}")}
         for name, path in MODULES.items()

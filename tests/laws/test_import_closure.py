@@ -1,7 +1,5 @@
 """How much of palpate the record verb loads: what it does not need stays on the disk."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

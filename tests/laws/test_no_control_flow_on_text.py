@@ -1,7 +1,5 @@
 """No program decision depends on free text: origins, reasons, and verdicts are compared by code only."""
 
-from __future__ import annotations
-
 import ast
 import re
 from collections.abc import Iterator

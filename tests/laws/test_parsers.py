@@ -1,7 +1,5 @@
 """Every parser of the package refuses damage by an error of palpate's own tree, whatever the bytes."""
 
-from __future__ import annotations
-
 import ast
 import os
 import random

@@ -1,7 +1,5 @@
 """Whatever takes a path takes it as text and as a Path, and does the same."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

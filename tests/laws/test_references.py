@@ -1,7 +1,5 @@
 """Identifiers in backticks name what exists: all docstrings, comments and messages of `src`, read as text."""
 
-from __future__ import annotations
-
 import ast
 import re
 from collections import defaultdict

@@ -1,7 +1,5 @@
 """Conditions over participants: models as independent codes have them, tests at their rate."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import statsmodels.api as sm

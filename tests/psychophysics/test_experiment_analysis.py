@@ -1,7 +1,5 @@
 """An experiment's analysis: what was put in comes out, and what is lacking is counted and said."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace
@@ -15,14 +13,7 @@ from typer.testing import CliRunner
 
 from palpate.cli import app
 from palpate.core import InputError
-from palpate.psychophysics import (
-    Condition,
-    Judgement,
-    Presentation,
-    Stimulus,
-    Task,
-    write_stimuli,
-)
+from palpate.psychophysics import Condition, Judgement, Presentation, Stimulus, Task, write_stimuli
 from palpate.psychophysics.analysis import analyse_experiment
 
 LEVELS = (240.0, 170.0, 120.0, 80.0, 50.0)

@@ -1,7 +1,5 @@
 """Intervals of proportions: as printed, exact, and over participants."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import optimize, special, stats

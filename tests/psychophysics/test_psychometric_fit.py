@@ -1,7 +1,5 @@
 """Psychometric functions: greatest likelihood as another code finds it, and honest answers at the ends."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -47,7 +45,6 @@ def test_a_function_is_half_at_its_threshold_and_three_quarters_a_spread_above(s
 def test_neither_a_level_far_off_nor_many_answers_move_the_posterior(
     far: float, n: int, lapse: float | None
 ) -> None:
-    """Answers as they are expected: the medians are the truth, the widths those of the Fisher information."""
     x, m, slip = np.append(LEVELS, far), np.full(6, n), 0.0 if lapse is not None else 0.03
     k = np.round(n * (slip + (1 - 2 * slip) * stats.norm.cdf((x - 3.1) / 0.8 * stats.norm.ppf(0.75)))).astype(
         int

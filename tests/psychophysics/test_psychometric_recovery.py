@@ -1,7 +1,5 @@
 """Psychometric functions come back: without bias, in intervals that hold them at their rate."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import stats

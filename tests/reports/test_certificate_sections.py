@@ -1,7 +1,5 @@
 """The page answers first, in sentences that the numbers bear out, and shows what there is to show."""
 
-from __future__ import annotations
-
 import html
 import json
 import re

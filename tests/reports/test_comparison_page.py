@@ -1,7 +1,5 @@
 """Two calibrations side by side: compared row by row where they can be, and else told why not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

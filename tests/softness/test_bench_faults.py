@@ -3,8 +3,6 @@
 All is simulated. The page `docs/explanations/softness-faults.md` holds the same table.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from contextlib import suppress

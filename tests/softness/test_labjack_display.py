@@ -1,7 +1,5 @@
 """The display on a LabJack against a board that is not there, over real sockets."""
 
-from __future__ import annotations
-
 import math
 import re
 import struct

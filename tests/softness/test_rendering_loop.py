@@ -1,7 +1,5 @@
 """The loop keeps both cues, each of them by itself, and ends in one safe state whatever fails."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -57,7 +55,6 @@ def test_both_cues_are_kept_within_five_and_four_hundredths_of_the_peak(soft, fr
 
 
 def test_a_servo_that_knows_no_gas_keeps_the_area_worse() -> None:
-    """The control: the same valve under a PID of the error alone, tuned as well as it goes."""
     knows, alone = (pressed(BALL, frequency_hz=3.0, servo=one) for one in (None, PidServo()))
     assert alone.share(alone.off_area_n()) > 1.5 * knows.share(knows.off_area_n())
 

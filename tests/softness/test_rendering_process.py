@@ -1,7 +1,5 @@
 """A rendering in its own process: it tells how it goes, and is safe whatever becomes of whoever began it."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

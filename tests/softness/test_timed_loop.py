@@ -1,7 +1,5 @@
 """A loop on the machine's clock begins at equal times, and makes up for none that it missed."""
 
-from __future__ import annotations
-
 import gc
 import time
 

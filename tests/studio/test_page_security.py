@@ -19,12 +19,7 @@ pytest.importorskip("websockets", reason="websockets is not installed")
 
 from tests.studio.served_page import TOKEN
 
-from palpate.studio.page_security import (
-    HEADERS,
-    TokenGate,
-    names_of_server,
-    refusal,
-)
+from palpate.studio.page_security import HEADERS, TokenGate, names_of_server, refusal
 from palpate.studio.page_server import HEADER
 
 MAX_S = 60.0

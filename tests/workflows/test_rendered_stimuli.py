@@ -1,7 +1,5 @@
 """Stimuli on a display: shown under codes, in the mode of their condition, and a fault costs no judgement."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time
@@ -85,7 +83,7 @@ def moved(soft: SoftObject) -> float:
 def test_each_stimulus_is_its_own_object_under_its_code_in_its_condition_s_mode(sessions, tmp_path) -> None:
     design = make_experiment(tmp_path / "study", "bianchi-2010", 3)
     for path in (design.folder / "objects").glob("*.toml"):
-        if path.stem not in ("SH1", "SH5"):  # the curves of a specimen take a second
+        if path.stem.partition("-")[0] not in ("SH1", "SH5"):  # the curves of a specimen take a second
             path.write_text(LINE)
     with RenderedStimuli(design, read_bench(None)) as display:
         for condition, mode in ((BOTH_CUES, Mode.BOTH), (ARM, Mode.KINESTHETIC), (SKIN, Mode.CUTANEOUS)):

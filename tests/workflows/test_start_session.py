@@ -1,7 +1,5 @@
 """Laws of the first session: whole on a virtual sensor, gone on with where it was left, honest at its end."""
 
-from __future__ import annotations
-
 import json
 import shlex
 import shutil
@@ -225,7 +223,6 @@ def test_learning_curve_finds_the_power_and_what_ten_more_bring() -> None:
 def test_intervals_of_a_learning_curve_hold_what_more_presses_bring_at_their_rate(
     seeds: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Refits scatter by what they learnt from, which drawing the scored presses anew does not tell."""
     monkeypatch.setattr(learning_curve, "DRAWS", 100)
     presses, held = np.repeat([10, 20, 32], 2), []
     for seed in range(seeds):
