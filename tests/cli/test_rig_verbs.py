@@ -79,7 +79,7 @@ def test_a_recorded_run_is_checked_calibrated_and_reported_without_further_optio
     assert (seen["crop_px"], seen["beside_px"]) == ([0, 0, 128, 128], [128, 0, 128, 128])
 
 
-def test_the_palms_protocol_is_previewed_with_its_numbers(tmp_path: Path, figures_small) -> None:
+def test_the_palms_protocol_is_previewed_with_its_numbers(tmp_path: Path, figures_blank) -> None:
     png = tmp_path / "places.png"
     code, out, _ = typed("plan", "preview", "palm", "--png", png, "--json")
     found = json.loads(out)
@@ -148,7 +148,7 @@ def test_a_request_to_end_lifts_the_probe_and_leaves_a_run_that_goes_on(tmp_path
     deadline = time.monotonic() + 120
     while not (out / "0000-frames.mcap").exists() and time.monotonic() < deadline:
         time.sleep(0.05)
-    time.sleep(1.0)
+    time.sleep(0.2)
     process.send_signal(signal.SIGTERM)
     said, error = process.communicate(timeout=120)
     assert process.returncode == 1, error

@@ -119,17 +119,17 @@ def test_one_participant_all_right_and_all_wrong_are_answered_with_bounds() -> N
     assert all(one.clusters is None for one in alone.accuracies)
     assert any("one participant" in one for one in alone.caveats)
     certain = dict.fromkeys(NOISE_KPA, 1e-6)
-    right = analyse_experiment(simulated(3, noise=certain), STIMULI)
+    right = analyse_experiment(simulated(2, noise=certain), STIMULI)
     for one in right.accuracies:
         assert one.share == 1.0
         assert one.wald == (1.0, 1.0)
         assert one.clusters[0] < one.wilson[0] < 1.0
-    assert any("all 72" in one for one in right.caveats)
+    assert any("all 48" in one for one in right.caveats)
     assert all(not one.fit.spread.bounded[0] for one in right.thresholds)
     assert right.comparisons[0].marginal == ()
     wrong = {name: replace(one, softer=1) for name, one in STIMULI.items()}
-    turned = analyse_experiment(simulated(3, noise=certain), wrong)
-    assert any("all 72" in one for one in turned.caveats)
+    turned = analyse_experiment(simulated(2, noise=certain), wrong)
+    assert any("all 48" in one for one in turned.caveats)
     json.dumps(turned.to_dict(), allow_nan=False)
     with refused("no-answers", InputError):
         analyse_experiment([], STIMULI, unanswered=["a", "b"])

@@ -103,7 +103,7 @@ def test_only_estimates_that_surely_beat_the_mean_are_worth_something() -> None:
     assert not beats_the_mean(shuffled)
 
 
-@pytest.mark.parametrize(("seeds", "least"), [(3, 2), pytest.param(12, 10, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("seeds", "least"), [(2, 1), pytest.param(12, 10, marks=pytest.mark.slow)])
 def test_intervals_of_the_sentence_are_tried_on_presses_they_were_not_made_of(seeds: int, least: int) -> None:
     told, truth, holds = [], [], 0
     for seed in range(seeds):
