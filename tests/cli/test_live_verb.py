@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -17,6 +18,7 @@ from typer.testing import CliRunner
 
 import palpate
 from palpate.cli import app
+from palpate.cli.sense import live_verbs
 from palpate.cli.sense.live_verbs import ShownSensor
 from palpate.recordings import Run, export_folder
 from palpate.recordings.exchange.image_files import encode
@@ -30,6 +32,12 @@ def typed(*words: object, status: int = 0):
     result = CliRunner().invoke(app, [str(word) for word in words])
     assert result.exit_code == status, result.output
     return result
+
+
+@pytest.fixture(autouse=True)
+def nothing_kept(monkeypatch) -> None:
+    """To count all that pytest holds takes half a second."""
+    monkeypatch.setattr(live_verbs, "loaded_kept", nullcontext)
 
 
 @pytest.fixture

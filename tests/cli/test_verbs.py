@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
+from tests.small_figures import saved_blank
 from typer.testing import CliRunner
 
 from palpate.cli import app
@@ -90,7 +91,9 @@ def calibration(made_calibration, run, tmp_path) -> Path:
 @pytest.fixture(scope="module")
 def made_calibration(made_run, made, changes_untried) -> Path:
     words = ("--targets", "x_mm", "--split", "group:tap", "--size", "12x12", "--model", "pca-ridge")
-    palpate("calibrate", made_run, *words, "--out", made / "cal")
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr("matplotlib.figure.Figure.savefig", saved_blank)
+        palpate("calibrate", made_run, *words, "--out", made / "cal")
     return made / "cal"
 
 

@@ -221,8 +221,8 @@ def test_drift_counts_in_half_grey_levels_where_references_agree() -> None:
 def test_the_spread_of_references_is_that_about_a_mean_they_had_no_part_in() -> None:
     """About their own mean it is sigma sqrt((r - 1) / r); times r / (r - 1), sigma sqrt(r / (r - 1))."""
     rng, count = np.random.default_rng(6), 2
-    good = thumbnails(scene(rng, 60))
-    folds = folds_of(60, rng)
+    good = thumbnails(scene(rng, 20))
+    folds = folds_of(20, rng)
     spreads = [
         fit_novelty_detector(
             good, folds, rng.normal(70, 3, (count, 32, 32, 1)).astype(np.float32)

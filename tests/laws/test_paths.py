@@ -22,7 +22,9 @@ def at(request, tmp_path) -> Callable:
 
 
 @pytest.mark.cases(1)
-def test_a_calibration_is_made_opened_and_reported_on(at, record_spots) -> None:
+def test_a_calibration_is_made_opened_and_reported_on(
+    at, record_spots, changes_untried, figures_blank
+) -> None:
     run = record_spots("run", 10)
     palpate.certify(run, PLAN, at("certified"))
     palpate.calibrate(run, PLAN, at("cal"))
