@@ -89,7 +89,7 @@ def test_processes_that_run_are_named_by_their_prefix_and_those_that_are_gone_ar
     assert running("live ", tmp_path) == ["live a", "live b"]
 
 
-SILENT = 1000
+SILENT = 600
 STOPPED_S = 0.5  # on a machine that does other work as well; 1 to 5 ms when idle
 
 
@@ -117,7 +117,7 @@ def first_line(connection: socket.socket) -> bytes:
         return lines.readline()
 
 
-def test_a_client_stops_while_thousands_of_silent_sockets_wait(tmp_path) -> None:
+def test_a_client_stops_while_hundreds_of_silent_sockets_wait(tmp_path) -> None:
     server = RpcServer("one", status, lambda after: None, {"stop": lambda _: "stopped"}, {})
     publish(Address("one", server.port, server.token, os.getpid()), tmp_path)
     with closing(server), silent_sockets(server.port, SILENT) as waiting:
