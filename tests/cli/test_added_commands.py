@@ -1,7 +1,5 @@
 """Commands that installed distributions add: listed without an import, and broken ones refused by a code."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Callable

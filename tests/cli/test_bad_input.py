@@ -1,7 +1,5 @@
 """Plug-ins and files that cannot be used, as typed: one line that names them and the law, status 2."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Iterator
@@ -11,7 +9,7 @@ import pytest
 from tests.installed_packages import lay_package
 from typer.testing import CliRunner
 
-from palpate import CalibrationPlan, Manifest, calibrate
+from palpate import Manifest
 from palpate.cli import app
 from palpate.version import __version__
 
@@ -237,11 +235,10 @@ def test_a_damaged_manifest_of_this_version_is_called_damaged(tmp_path: Path) ->
     ids=["another format", "a field that is new"],
 )
 def test_a_certificate_of_a_newer_version_says_which_version_opens_it(
-    tmp_path: Path, record_spots, change: dict
+    tmp_path: Path, calibrate_spots, changes_untried, change: dict
 ) -> None:
-    run = record_spots("run", 10)
-    plan = CalibrationPlan(("x_mm",), model="mean", split="group:press", size_px=(12, 16))
-    calibrate(run, plan, tmp_path / "cal")
+    plan = {"targets": ("x_mm",), "model": "mean", "split": "group:press", "size_px": (12, 16)}
+    run, _ = calibrate_spots(tmp_path / "cal", presses=10, **plan)
     (card,) = (tmp_path / "cal").glob("card.json")
     fields = json.loads(card.read_text()) | change
     card.write_text(json.dumps(fields))

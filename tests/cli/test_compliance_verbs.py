@@ -94,7 +94,7 @@ def test_a_calibrated_press_is_told_with_its_interval(press, calibration) -> Non
     assert "stiffness" in compliance("read", *press, "--with", path).output
 
 
-def test_picture_and_readings_are_written_once(press, calibration, tmp_path) -> None:
+def test_picture_and_readings_are_written_once(press, calibration, tmp_path, figures_blank) -> None:
     path, _ = calibration
     for i, more in enumerate(((), ("--with", path))):
         out = tmp_path / str(i)
@@ -130,7 +130,7 @@ def test_specimens_are_compared(experiment, calibration, tmp_path, calibrated) -
     assert "overwritten" in compliance("compare", experiment, "--out", out, status=2).stderr
 
 
-def test_grouped_trials_are_compared_by_a_mixed_model(experiment, tmp_path) -> None:
+def test_grouped_trials_are_compared_by_a_mixed_model(experiment, tmp_path, figures_blank) -> None:
     presses = grouped(
         experiment, tmp_path / "presses", "specimen,trial,day", lambda name, k: f"{name},{k},d{k}"
     )

@@ -1,7 +1,5 @@
 """Ctrl-C in a verb: what is said then holds for what the verb does."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys
@@ -109,13 +107,23 @@ def test_a_second_signal_does_not_cut_short_the_stop_that_the_first_began(name: 
 
 
 def test_frames_that_a_kill_left_without_labels_are_left_out_of_a_calibration_and_counted(
-    record_spots, tmp_path, changes_untried
+    record_spots, tmp_path, changes_untried, figures_blank
 ) -> None:
     run = record_spots("killed", 12)
     with RunWriter.resume(run.path) as writer:
         for _ in range(3):  # shown, and killed before they were labelled
             writer.frame(np.asarray(run.frame(0).image))
-    words = ["--targets", "x_mm", "--size", "12x16", "--split", "group:press", "--quiet"]
+    words = [
+        "--targets",
+        "x_mm",
+        "--size",
+        "6x8",
+        "--model",
+        "pca-ridge",
+        "--split",
+        "group:press",
+        "--quiet",
+    ]
     done = CliRunner().invoke(app, ["calibrate", str(run.path), *words, "--out", str(tmp_path / "cal")])
     assert done.exit_code == 0, done.output
     told = f"{run.path}: 3 frames have no label at all"

@@ -1,7 +1,5 @@
 """Label columns called as the code calls columns of its own go through every verb."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

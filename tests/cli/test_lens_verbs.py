@@ -24,18 +24,7 @@ def test_calibrate_makes_a_lens_file_and_a_picture_and_overwrites_nothing(tmp_pa
     photos = tmp_path / "photos"
     write_photographs(photos, FISHEYE, BOARD, 9)
     out = tmp_path / "lens.json"
-    words = (
-        "lens",
-        "calibrate",
-        tmp_path / "photos",
-        "--board",
-        "9x6",
-        "--out",
-        out,
-        "--json",
-        "--name",
-        "left",
-    )
+    words = ("lens", "calibrate", photos, "--board", "9x6", "--out", out, "--json", "--name", "left")
     done = run_verb(*words)
     assert done.exit_code == 0, done.output
     lens = Lens.read(out)
@@ -61,7 +50,7 @@ def test_calibrate_makes_a_lens_file_and_a_picture_and_overwrites_nothing(tmp_pa
 
 
 def test_too_few_views_leave_no_file(tmp_path):
-    write_photographs(tmp_path / "photos", FISHEYE, BOARD, 2)
+    write_photographs(tmp_path / "photos", FISHEYE, BOARD, 1)
     out = tmp_path / "lens.json"
     done = run_verb("lens", "calibrate", tmp_path / "photos", "--board", "9x6", "--out", out)
     assert done.exit_code == 2

@@ -1,13 +1,12 @@
 """`palpate live`, as typed: what it prints, what it keeps, and that nothing it keeps is ever half."""
 
-from __future__ import annotations
-
 import fcntl
 import json
 import os
 import signal
 import subprocess
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -19,6 +18,7 @@ from typer.testing import CliRunner
 
 import palpate
 from palpate.cli import app
+from palpate.cli.sense import live_verbs
 from palpate.cli.sense.live_verbs import ShownSensor
 from palpate.recordings import Run, export_folder
 from palpate.recordings.exchange.image_files import encode
@@ -34,10 +34,16 @@ def typed(*words: object, status: int = 0):
     return result
 
 
+@pytest.fixture(autouse=True)
+def nothing_kept(monkeypatch) -> None:
+    """To count all that pytest holds takes half a second."""
+    monkeypatch.setattr(live_verbs, "loaded_kept", nullcontext)
+
+
 @pytest.fixture
-def spots(calibrate_spots, record_spots, tmp_path):
+def spots(calibrate_spots, record_spots, tmp_path, changes_untried):
     """A calibration, a run, and that run's frames in a lossless video."""
-    plan = {"targets": ("x_mm",), "split": "group:press", "size_px": (24, 32)}
+    plan = {"targets": ("x_mm",), "split": "group:press", "size_px": (12, 16), "model": "pca-ridge"}
     run = record_spots("fresh", 2, seed=4)
     video = tmp_path / "taps.avi"
     writer = cv2.VideoWriter(str(video), cv2.VideoWriter.fourcc(*"FFV1"), 20.0, (64, 48), isColor=True)
@@ -63,7 +69,7 @@ def test_a_run_that_its_writer_did_not_close_is_read_named_and_ends_with_status_
     calibration, run, _ = spots
     for words in (
         ("read", cut(run.path), "--with", calibration),
-        ("live", calibration, "--camera", run.path, "--wait", 0.2),
+        ("live", calibration, "--camera", run.path, "--wait", 0.1),
     ):
         found = typed(*words, "--json", status=1)
         *readings, last = readings_of(found.stdout)
@@ -72,7 +78,7 @@ def test_a_run_that_its_writer_did_not_close_is_read_named_and_ends_with_status_
         assert found.stderr.count("not closed by its writer") == 1
     with (run.path / "manifest.json").open("r+b") as held:
         fcntl.flock(held, fcntl.LOCK_EX)  # as a writer that is at work does: it has only not gone on
-        typed("live", calibration, "--camera", run.path, "--wait", 0.2, "--json")
+        typed("live", calibration, "--camera", run.path, "--wait", 0.1, "--json")
 
 
 @pytest.mark.parametrize("changes", [False, True])
@@ -90,7 +96,7 @@ def test_frames_of_another_size_than_the_calibration_s_end_it_by_a_message_with_
         "--camera",
         small if changes else small / "00.png",
         "--wait",
-        0.2,
+        0.1,
         "--json",
         status=2,
     )
@@ -144,8 +150,8 @@ def test_a_command_that_is_refused_leaves_no_run_and_no_log(spots, tmp_path) -> 
     for words, why in (
         ((calibration, "--camera", video, "--camera", "NOSUCHSERIAL"), "serial number"),
         ((calibration, "--camera", small), "calibrate at this one"),
-        (("--camera", empty, "--wait", 0.2), "without a frame"),
-        (("--camera", dull, "--wait", 0.4), "without a frame that is an image"),
+        (("--camera", empty, "--wait", 0.1), "without a frame"),
+        (("--camera", dull, "--wait", 0.1), "without a frame that is an image"),
         (("--camera", video, "--compliance", tmp_path / "none.npz"), "force sensor beside"),
     ):
         before = sorted(tmp_path.rglob("*"))
@@ -177,7 +183,7 @@ def test_what_holds_a_frame_stays_whole_where_the_command_fails_and_is_told(
         assert f"kept: {kept} (12 frames), {log} (12 readings); the next one needs other names" in said
         return said
 
-    left("refused", calibration, "--camera", small, "--wait", 0.2, status=2)
+    left("refused", calibration, "--camera", small, "--wait", 0.1, status=2)
     monkeypatch.setattr(ShownSensor, "summary", lambda self: exec("raise KeyboardInterrupt"))
     assert "nothing half-written" not in left("stopped", "--camera", video, status=130)
 
@@ -186,7 +192,7 @@ def test_several_cameras_are_read_at_once_each_by_its_own_calibration(spots, tmp
     calibration, run, video = spots
     export_folder(run, tmp_path / "exported")
     folder = tmp_path / "exported" / "images"
-    words = ("live", calibration, "--camera", video, "--camera", folder, "--wait", 0.2, "--json")
+    words = ("live", calibration, "--camera", video, "--camera", folder, "--wait", 0.1, "--json")
     found = readings_of(typed(*words, "--record", tmp_path / "kept").stdout)
     for source in (video, folder):
         own = [one for one in found if one["source"] == str(source)]
@@ -272,11 +278,11 @@ def test_who_ends_it_leaves_run_and_log_whole(spots, tmp_path, name) -> None:
 def test_a_folder_of_which_no_image_can_be_read_is_no_success_and_the_reason_is_told(tmp_path) -> None:
     for k in range(2):
         cv2.imwrite(str(tmp_path / f"{k}.png"), np.full((6, 8), 40_000, np.uint16))
-    said = typed("live", "--camera", tmp_path, "--wait", "0.4", status=2).output
+    said = typed("live", "--camera", tmp_path, "--wait", "0.1", status=2).output
     assert "ended without a frame that is an image" in said
     assert "has more than 8 bits a channel" in said
     cv2.imwrite(str(tmp_path / "2.png"), np.full((6, 8), 90, np.uint8))
-    said = typed("live", "--camera", tmp_path, "--wait", "0.4").output
+    said = typed("live", "--camera", tmp_path, "--wait", "0.1").output
     assert "3 frames, 0 dropped, 0 lost, 2 broken" in said
 
 

@@ -1,7 +1,5 @@
 """`palpate cameras` and `palpate doctor`, as typed."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

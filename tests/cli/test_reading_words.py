@@ -1,7 +1,5 @@
 """Words of readings in a terminal's line: the units of a bench, intervals, verdicts, each reason once."""
 
-from __future__ import annotations
-
 import math
 
 from palpate.cli.sense.live_outputs import reading_words

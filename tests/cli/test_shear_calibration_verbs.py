@@ -6,13 +6,15 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from tests.virtual_shears import VirtualPad, levels
+from tests.virtual_shears import VirtualPad
 from typer.testing import CliRunner
 
 from palpate.calibration.shear import ShearCalibration
 from palpate.cli import app
 from palpate.recordings import Manifest, RunWriter
 
+LEVELS = 40
+DEEPEST_M = VirtualPad().sensor.known_depth_m(VirtualPad().sensor.probe("round"))
 LABELS = {"force_N": "number", "press": "text", "indenter": "text", "reference": "flag"}
 
 
@@ -32,27 +34,30 @@ def rendered(pad, contact, seed):
 def write_run(path, presses, labels=LABELS):
     """Three reference frames, then a frame a press at places and forces that differ."""
     pad, rng = VirtualPad(), np.random.default_rng(6)
-    depths = levels("", "round", 1.2, 7.8)
+    depths = np.linspace(0.3, 0.95, LEVELS) * DEEPEST_M
     with RunWriter.create(path, Manifest.new(sensor="nusense", labels=labels), overflow="wait") as writer:
         for i in range(3 + presses):
             x, y = rng.uniform(-1, 1, 2) * (10e-3, 8e-3)
-            contact = pad.contact("round", x, y, 0.0 if i < 3 else depths[(7 * i) % len(depths)])
+            contact = pad.contact("round", x, y, 0.0 if i < 3 else depths[(7 * i) % LEVELS])
             about = {"force_N": contact.force_n, "press": f"{i}", "indenter": "round", "reference": i < 3}
             writer.frame(rendered(pad, contact, i), labels={k: v for k, v in about.items() if k in labels})
     return path
 
 
+def calibrated_from(folder, presses):
+    words = ("fit", write_run(folder / "run", presses), "--out", folder / "pad.npz", "--law", "placed")
+    words = (*words, "--quiet", "--json")
+    return folder / "pad.npz", json.loads(verb(*words).stdout), words
+
+
 @pytest.fixture(scope="module")
 def calibrated(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("force")
-    run, out = write_run(folder / "run", 36), folder / "pad.npz"
-    words = ("fit", run, "--out", out, "--law", "placed", "--quiet", "--json")
-    return run, out, json.loads(verb(*words).stdout), words
+    return calibrated_from(tmp_path_factory.mktemp("force"), 16)[:2]
 
 
 @pytest.mark.slow
-def test_fit_makes_a_calibration_better_than_its_baselines(calibrated):
-    _, out, record, words = calibrated
+def test_fit_makes_a_calibration_better_than_its_baselines(tmp_path):
+    out, record, words = calibrated_from(tmp_path, 36)
     assert ShearCalibration.load(out).id == record["calibration"]
     across = abs(VirtualPad().sensor.spec.lens.focal_px[0]) * 2.4 / 55  # px of a tile of 2.4 mm, 55 mm away
     assert ShearCalibration.load(out).pitch_px == pytest.approx(across, rel=0.15)
@@ -70,7 +75,7 @@ def test_fit_makes_a_calibration_better_than_its_baselines(calibrated):
 
 
 def test_weigh_tells_a_copys_stiffness(calibrated, tmp_path):
-    _, out, record, _ = calibrated
+    out, record = calibrated
     pad = VirtualPad("8", 1)
     weight = pad.contact("round", 1e-3, 0.0, 1.3e-3)
     for name, contact in (("rest", pad.contact("round", 0.0, 0.0, 0.0)), ("on", weight)):
@@ -78,24 +83,14 @@ def test_weigh_tells_a_copys_stiffness(calibrated, tmp_path):
         for i in range(2):
             image = rendered(pad, contact, 10 + i)
             cv2.imwrite(str(tmp_path / name / f"{i}.png"), cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
-    words = (
-        "weigh",
-        "--with",
-        out,
-        "--reference",
-        tmp_path / "rest",
-        "--out",
-        tmp_path / "copy.npz",
-        "--json",
-    )
+    words = ("weigh", "--with", out, "--reference", tmp_path / "rest", "--json", "--out")
     on = (tmp_path / "on", "--mass-g", f"{weight.force_n / 9.80665e-3:.2f}")
-    found = json.loads(verb(*words, *on).stdout)
+    found = json.loads(verb(*words, tmp_path / "copy.npz", *on).stdout)
     assert found["of"] == record["calibration"]
     assert found["scale"] > 1.02  # this copy is 9 % stiffer
     assert abs(found["scale"] - 1.09) < 2 * found["scale_error"] < 0.1
     nothing = (tmp_path / "rest", "--mass-g", "400")
-    other = (*words[:-2], tmp_path / "none.npz")
-    assert "weight" in verb(*other, *nothing, status=2).stderr
+    assert "weight" in verb(*words, tmp_path / "none.npz", *nothing, status=2).stderr
     assert not (tmp_path / "none.npz").exists()
 
 
@@ -107,12 +102,11 @@ def test_a_run_without_force_is_refused(tmp_path):
 
 
 def test_shear_adds_newtons_with_a_calibration_and_refuses_one_of_another_lens(calibrated, tmp_path):
-    _, out, _, _ = calibrated
+    out, _ = calibrated
     pad, rng = VirtualPad(), np.random.default_rng(11)
-    depths = levels("", "round", 1.2, 7.8)
     frames = tmp_path / "frames"
     frames.mkdir()
-    contacts = [pad.contact("round", 4e-3, -3e-3, depth) for depth in (0.0, 0.0, depths[len(depths) // 2])]
+    contacts = [pad.contact("round", 4e-3, -3e-3, depth) for depth in (0.0, 0.0, 0.65 * DEEPEST_M)]
     for i, contact in enumerate(contacts):
         image = pad.sensor.render(contact, rng).image
         cv2.imwrite(str(frames / f"{i}.png"), cv2.cvtColor(image, cv2.COLOR_RGB2BGR))

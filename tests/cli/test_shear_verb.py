@@ -57,7 +57,7 @@ def test_one_json_line_a_frame_with_the_place_where_it_is(place):
     )  # no newtons without calibration
 
 
-def test_fields_and_page_are_written_and_nothing_is_overwritten(place, tmp_path):
+def test_fields_and_page_are_written_and_nothing_is_overwritten(place, tmp_path, figures_blank):
     fields, page = tmp_path / "fields", tmp_path / "page.html"
     words = (place / "frames", "--reference", place / "reference.png", "--fields", fields, "--html", page)
     done = run(*words)

@@ -1,7 +1,5 @@
 """`palpate collect` and `start --terminal`, as typed: what cannot go on ends, and says why."""
 
-from __future__ import annotations
-
 import pytest
 from typer.testing import CliRunner
 

@@ -1,7 +1,5 @@
 """Stop commands act before anything heavy loads, and past processes that are dead or hang."""
 
-from __future__ import annotations
-
 import json
 import os
 import socket

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
+from tests.small_figures import saved_blank
 from typer.testing import CliRunner
 
 from palpate.cli import app
@@ -88,19 +89,11 @@ def calibration(made_calibration, run, tmp_path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def made_calibration(made_run, made) -> Path:
-    palpate(
-        "calibrate",
-        made_run,
-        "--targets",
-        "x_mm",
-        "--split",
-        "group:tap",
-        "--size",
-        "24x24",
-        "--out",
-        made / "cal",
-    )
+def made_calibration(made_run, made, changes_untried) -> Path:
+    words = ("--targets", "x_mm", "--split", "group:tap", "--size", "12x12", "--model", "pca-ridge")
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr("matplotlib.figure.Figure.savefig", saved_blank)
+        palpate("calibrate", made_run, *words, "--out", made / "cal")
     return made / "cal"
 
 
@@ -143,11 +136,13 @@ def test_sensing_prints_one_object_a_line(calibration, taps) -> None:
     )
 
 
-def test_what_is_of_a_virtual_sensor_is_said_once_to_be_simulated(calibration, run, taps, tmp_path) -> None:
+def test_what_is_of_a_virtual_sensor_is_said_once_to_be_simulated(
+    calibration, run, taps, tmp_path, figures_blank
+) -> None:
     labels = ("--labels", "labels.csv", "--image-column", "image_file")
     virtual = ("--provenance", "simulated")
     palpate("import", "images", taps, tmp_path / "made", *labels, *virtual)
-    learns = ("--targets", "x_mm", "--split", "group:tap", "--size", "24x24", "--model", "mean")
+    learns = ("--targets", "x_mm", "--split", "group:tap", "--size", "12x12", "--model", "mean")
     palpate("calibrate", tmp_path / "made", *learns, "--out", tmp_path / "virtual")
     for cal, read, named in (
         (calibration, tmp_path / "made", "the run is"),

@@ -1,7 +1,5 @@
 """Without optional packages every command works or names the extra to install; see `walked_commands.py`."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -5,8 +5,6 @@ without arguments, and with plausible ones; one JSON line a call goes to OUT. It
 it also runs in an environment that holds the wheel alone.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import sys

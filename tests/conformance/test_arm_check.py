@@ -1,7 +1,5 @@
 """A good haptic arm keeps every law, and one that breaks a law is named by it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 
@@ -200,10 +198,7 @@ def test_a_single_flaw_breaks_its_own_law_alone(flaw: str) -> None:
 
 def test_an_arm_without_a_watchdog_is_found_out_and_braked() -> None:
     arm = Mass(clock := ManualClock(10**9), "no watchdog")
-    assert failed(arm, clock) & {
-        "watchdog",
-        "stays-on-path",
-    }
+    assert failed(arm, clock) & {"watchdog", "stays-on-path"}
     assert arm.braked
 
 

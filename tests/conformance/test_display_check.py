@@ -1,7 +1,5 @@
 """A good contact-area display keeps every law, and one that breaks a law is named by it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

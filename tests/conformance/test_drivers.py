@@ -1,7 +1,5 @@
 """The real drivers, each against its fake over a real socket or terminal, keep what the protocols promise."""
 
-from __future__ import annotations
-
 import random
 import sys
 
@@ -23,14 +21,7 @@ from palpate.rig.real.netft.netft_sensor import NetFT, NetFTSettings
 from palpate.rig.real.uvc_camera import UvcCamera, UvcSettings
 
 # What a loaded machine may break although the driver keeps it.
-TIMING = (
-    "latest-age",
-    "sample-gap",
-    "frame-interval",
-    "call-time",
-    "sample-rate",
-    "frame-rate",
-)
+TIMING = ("latest-age", "sample-gap", "frame-interval", "call-time", "sample-rate", "frame-rate")
 
 
 def broken(findings: list[CheckResult], timed: bool = False) -> list[CheckResult]:

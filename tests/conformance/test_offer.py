@@ -1,7 +1,5 @@
 """Every conformance check is offered in one place, and asking for one loads no other."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

@@ -1,7 +1,5 @@
 """The virtual display and arm keep every law of their protocols."""
 
-from __future__ import annotations
-
 from palpate.check import check_arm, check_display
 from palpate.core import ManualClock
 from palpate.softness.pressing_finger import FingerPresses

@@ -1,7 +1,5 @@
 """Devices by the name of their class: opened where they keep the interface, refused by the law they break."""
 
-from __future__ import annotations
-
 import sys
 import textwrap
 from collections.abc import Iterator

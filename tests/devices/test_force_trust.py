@@ -1,7 +1,5 @@
 """What a force sensor's noise, rate and stiffness under it say of whether it can be believed."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -51,7 +49,6 @@ def test_the_air_tells_noise_quantum_and_period(rng) -> None:
 def test_a_row_of_equal_samples_that_noise_makes_is_no_fault_and_a_dead_sensor_is_one_soon(
     rng, noise: float, quantum: float
 ) -> None:
-    """In a hundred times as many samples as were learnt from, no row is as long as the limit."""
     learnt = AirNoise.of(air(rng, 200, noise, quantum))
     later = AirNoise.of(air(rng, 20_000, noise, quantum))
     limit = learnt.run_limit()
@@ -106,7 +103,6 @@ def test_a_scale_that_changed_between_two_zeros_is_told(rng, scale: float, trips
 
 @pytest.mark.parametrize("far_n", [0.4, -0.4, 1.7])
 def test_a_zero_that_drifts_along_the_greatest_axis_alone_is_no_change_of_scale(rng, far_n: float) -> None:
-    """With two small ones beside it, it lies near the old one's line, as what a changed gain reads does."""
     aside = np.array([0.02, -0.015, 1.7]) - BIAS
 
     def drifted(by_n: float) -> list[Wrench]:
@@ -279,7 +275,6 @@ def test_a_whole_move_is_held_against_the_least_stiffness_between_its_forces() -
 
 
 def test_a_sensor_far_coarser_than_its_noise_is_refused_in_the_air(rng) -> None:
-    """Its normal axis reads one value as long as nothing touches it, which is what a stuck sensor does."""
     samples = air(rng, 150, noise=0.1e-3)
     flickers = [
         replace(one, force_n=(BIAS[0] + 0.003 * (i % 2), *one.force_n[1:])) for i, one in enumerate(samples)
@@ -289,7 +284,6 @@ def test_a_sensor_far_coarser_than_its_noise_is_refused_in_the_air(rng) -> None:
 
 
 def test_a_coarse_sensor_that_repeats_itself_while_it_is_pressed_at_a_stand_is_not_stuck(rng) -> None:
-    """And on the move it is, soon: here it follows for the first move, and never again."""
     made, speed = monitor(air(rng, 150, noise=1e-3, quantum=4e-3)), 2e-3
     assert made.air is not None
     assert not all(made.air.fine)
@@ -318,7 +312,6 @@ def test_a_coarse_sensor_that_repeats_itself_while_it_is_pressed_at_a_stand_is_n
     [((3.0, 2.0, 2.5, 1.0), 0.5), ((1.0, 0.4, 2.0, 1.5), 1.6), ((3.0, 2.0, 1.0), 0.0), ((2.0,), 0.0)],
 )
 def test_a_climb_is_from_any_force_to_a_later_one(forces: tuple[float, ...], rise: float) -> None:
-    """A fall before it or after it takes nothing off, and a force before the least is no part of it."""
     climb = ForceClimb()
     for one in forces:
         climb.take(one)

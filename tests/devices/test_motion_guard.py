@@ -1,7 +1,5 @@
 """Guarded motion without an engine: a stage that moves as time passes, a spring from z = 0 on."""
 
-from __future__ import annotations
-
 import math
 import threading
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """A guarding process requests real-time scheduling, and reports what it was granted and what to do."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass, field
 from types import SimpleNamespace

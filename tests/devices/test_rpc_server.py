@@ -1,7 +1,5 @@
 """Laws of the process that others ask: what it was asked last is answered, also where that ends it."""
 
-from __future__ import annotations
-
 import os
 import resource
 import socket
@@ -18,8 +16,9 @@ import numpy as np
 import pytest
 
 from palpate.core import DeviceError
+from palpate.devices import rpc_admission
 from palpate.devices.rpc import Address, decode_message, encode_message, publish, running
-from palpate.devices.rpc_admission import AUTH_S, MAX_TOKEN_BYTES, MAX_UNAUTHENTICATED
+from palpate.devices.rpc_admission import MAX_TOKEN_BYTES, MAX_UNAUTHENTICATED
 from palpate.devices.rpc_client import RpcClient
 from palpate.devices.rpc_server import ANSWERED_S, MAX_CLIENTS, RpcServer
 
@@ -90,7 +89,7 @@ def test_processes_that_run_are_named_by_their_prefix_and_those_that_are_gone_ar
     assert running("live ", tmp_path) == ["live a", "live b"]
 
 
-SILENT = 2000
+SILENT = 600
 STOPPED_S = 0.5  # on a machine that does other work as well; 1 to 5 ms when idle
 
 
@@ -118,7 +117,7 @@ def first_line(connection: socket.socket) -> bytes:
         return lines.readline()
 
 
-def test_a_client_stops_while_thousands_of_silent_sockets_wait(tmp_path) -> None:
+def test_a_client_stops_while_hundreds_of_silent_sockets_wait(tmp_path) -> None:
     server = RpcServer("one", status, lambda after: None, {"stop": lambda _: "stopped"}, {})
     publish(Address("one", server.port, server.token, os.getpid()), tmp_path)
     with closing(server), silent_sockets(server.port, SILENT) as waiting:
@@ -150,7 +149,7 @@ def test_clients_keep_coming_through_while_silent_sockets_keep_coming(tmp_path) 
     with closing(server):
         flooding.start()
         try:
-            for _ in range(50):
+            for _ in range(15):
                 with (
                     socket.create_connection(("127.0.0.1", server.port), 5.0) as one,
                     one.makefile("rb") as lines,
@@ -164,16 +163,18 @@ def test_clients_keep_coming_through_while_silent_sockets_keep_coming(tmp_path) 
             flooding.join()
 
 
-def test_a_silent_socket_has_no_thread_and_no_slot_and_ends_at_its_deadline() -> None:
+def test_a_silent_socket_has_no_thread_and_no_slot_and_ends_at_its_deadline(monkeypatch) -> None:
+    auth_s = 0.5
+    monkeypatch.setattr(rpc_admission, "AUTH_S", auth_s)
     server = RpcServer("one", status, lambda after: None, {}, {})
     with closing(server):
         threads = threading.active_count()
         with silent_sockets(server.port, MAX_UNAUTHENTICATED) as waiting:
             begun_s = time.monotonic()
-            waiting[-1].settimeout(AUTH_S + 3.0)
+            waiting[-1].settimeout(auth_s + 3.0)
             assert threading.active_count() <= threads
             assert waiting[-1].recv(1) == b""
-            assert AUTH_S - 0.5 < time.monotonic() - begun_s < AUTH_S + 2.0
+            assert 0.5 * auth_s < time.monotonic() - begun_s < auth_s + 2.0
 
 
 @pytest.mark.parametrize(

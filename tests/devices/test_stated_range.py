@@ -1,7 +1,5 @@
 """A press is held against the stated range of stiffness, also where it is known late that it was sent."""
 
-from __future__ import annotations
-
 import pytest
 from tests.devices.test_force_trust import BIAS, HZ, air, monitor
 

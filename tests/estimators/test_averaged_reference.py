@@ -46,8 +46,7 @@ def test_a_frames_errors_are_its_own_whatever_the_references(readers: list[Shear
 
 
 def test_a_press_is_told_by_its_pressure_beside_an_averaged_reference(readers: list[ShearReader]) -> None:
-    """Had a frame the average's errors, no traction would explain its marks, and the ring tell the place."""
-    found = _presses(readers[1], 8)
+    found = _presses(readers[1], 4)
     tractions = [touch.places.traction for touch, _, _ in found]
     assert all(one is not None and one.misfit < 1.4 and one.closure == "frictionless" for one in tractions)
     assert all(touch.places.contacts[0].told_by == "pressure" for touch, _, _ in found)

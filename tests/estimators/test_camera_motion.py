@@ -1,7 +1,6 @@
 """Motion of the camera, contacts at the rim, and the lens: no valid reading of touch that is wrong."""
 
-from __future__ import annotations
-
+from copy import deepcopy
 from dataclasses import replace
 from functools import cache
 
@@ -45,8 +44,13 @@ def untouched() -> Frame:
     return frame_of()
 
 
-def reader() -> ShearReader:
+@cache
+def begun() -> ShearReader:
     return ShearReader(SKIN, untouched())
+
+
+def reader() -> ShearReader:
+    return deepcopy(begun())
 
 
 def is_camera_motion(readings) -> bool:
@@ -121,7 +125,6 @@ def test_a_place_s_interval_holds_the_error_of_a_wrong_focal_length(scale) -> No
 
 
 def test_single_marks_that_jump_are_no_motion_of_the_camera() -> None:
-    """As where tiles are missing: the limit has the scatter of the marks, also without a known traction."""
     columns, rows = np.meshgrid(np.arange(20), np.arange(15))
     cells = np.column_stack([columns.ravel(), rows.ravel()])
     rest, sigma = cells * 2e-3, np.full(len(cells), 2e-6)

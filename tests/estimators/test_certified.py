@@ -18,7 +18,7 @@ from palpate.estimators.card_ground import card_id
 @pytest.fixture
 def calibration(calibrate_spots, tmp_path, changes_untried):
     plan = {"targets": ("x_mm", "height_mm"), "split": "group:press", "size_px": (24, 32)}
-    return calibrate_spots(tmp_path / "cal", 20, **plan)
+    return calibrate_spots(tmp_path / "cal", 16, model="pca-ridge", **plan)
 
 
 def reseal(folder, change) -> None:
@@ -57,7 +57,6 @@ def test_an_image_is_read_as_its_frame_is(calibration) -> None:
 
 @pytest.mark.parametrize("coloured", [True, False])
 def test_a_grey_image_is_not_read_as_one_of_colour(calibration, coloured: bool) -> None:
-    """The same frame in colour is; so is a grey one where grey ones were learnt from."""
     run, folder = calibration
     opened = Estimator.open(folder)
     image, parts = run.frame(1).image, (opened.card, opened._session, opened._novelty)
@@ -103,8 +102,8 @@ def test_a_value_beyond_the_calibrated_range_is_flagged(calibration) -> None:
 
 @pytest.mark.usefixtures("changes_untried")
 def test_a_differential_calibration_asks_for_its_reference(calibrate_spots, tmp_path) -> None:
-    plan = {"targets": ("x_mm",), "split": "group:press", "size_px": (24, 32), "delta": True}
-    run, folder = calibrate_spots(tmp_path / "cal", 12, **plan)
+    plan = {"targets": ("x_mm",), "split": "group:press", "size_px": (12, 16), "delta": True}
+    run, folder = calibrate_spots(tmp_path / "cal", 10, model="pca-ridge", **plan)
     estimator = Estimator.open(folder)
     with pytest.raises(ImageError, match="--reference FRAME"):
         estimator.read(run.frame(1))

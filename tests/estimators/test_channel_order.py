@@ -82,7 +82,6 @@ def test_light_of_another_colour_is_no_exchange(scene) -> None:
 
 
 def test_touches_where_none_was_calibrated_are_no_exchange() -> None:
-    """The picture that the calibration's frames make of them shows another place."""
     assert share(guard_of(lamps, where=(12, 28)), frames(lamps, 3, 40, slice(32, 52))) == 0
     for n in (8, 20):
         few, right = guard_of(lamps, n=n), frames(lamps, 3, 40)

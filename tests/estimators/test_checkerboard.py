@@ -130,7 +130,6 @@ def test_a_pitch_that_is_wrong_by_half_is_corrected(seen) -> None:
 
 @pytest.mark.parametrize("frames", [27, pytest.param(10_000, marks=pytest.mark.slow)])
 def test_no_corner_takes_another_s_name_in_a_slide(frames) -> None:
-    """The pattern slides to and fro by more than a tile, pressed in places that move, with noise."""
     small = replace(VIEW, size=(260, 200), pitch=18.0, at=(120.0, 90.0), reach=35.0)
     rng = np.random.default_rng(4)
     extent = (8, 6)

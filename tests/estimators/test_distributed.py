@@ -3,8 +3,6 @@
 Run as a script, this file is one of the processes that the tests begin.
 """
 
-from __future__ import annotations
-
 import os
 import socket
 import subprocess

@@ -1,7 +1,5 @@
 """Laws of how a frame's light and sharpness are told."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -90,14 +90,12 @@ def test_where_no_example_is_near_the_thumbnails_own_limit_holds(known) -> None:
 
 
 def test_without_harm_the_same_change_passes(registration) -> None:
-    """The negative control: it is what the change costs that counts, not that it is seen."""
     free = examples(np.random.default_rng(1))
     unharmed = fit_known_changes(replace(free, harm=np.zeros_like(free.harm)), registration)
     assert share(verdicts(unharmed, COSTLY, 15, 2.5)) <= 0.05
 
 
 def test_examples_of_a_frame_do_not_vouch_for_each_other(registration) -> None:
-    """One harmful frame, given four times: held out with its own fold, nothing near it is harmful."""
     many = examples(np.random.default_rng(3))
     one = int(np.flatnonzero((many.kind == 1) & (many.harm > 0.05))[0])
     calm = replace(many, harm=np.where(many.frame == many.frame[one], many.harm, 0.0))
@@ -139,7 +137,6 @@ def test_a_registration_finds_shift_and_turn_in_their_own_units() -> None:
 
 
 def test_features_are_those_of_the_plain_computation_to_1e_9() -> None:
-    """Guards of before hold features computed so; a verdict may not depend on which way it was."""
     rng = np.random.default_rng(8)
     grey, colour = pins(blur=1.0), rng.integers(0, 256, (90, 121, 3)).astype(np.uint8)
     binary = np.where(pins() > 120, 255, 0).astype(np.uint8)

@@ -71,7 +71,6 @@ def test_marks_that_lie_anywhere_form_no_lattice() -> None:
 
 
 def test_a_step_by_whole_cells_is_not_told_from_none_and_one_by_half_has_no_name() -> None:
-    """Nothing in a lattice without edges tells it: what `named_as` may not be used for."""
     cells, places = View(barrel=0.0).marks((12, 10))
     reference = ControlPoints(cells, places, np.zeros(len(cells)))
     for step in (0.2, 2.2):

@@ -4,8 +4,6 @@ The poses of the slide are rendered once and come back with fresh noise, in the 
 dragged to and fro.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np
@@ -78,7 +76,6 @@ def test_no_mark_changes_its_name_in_a_slide_of_ten_thousand_frames() -> None:
 
 
 def test_a_picture_that_jumps_by_a_whole_tile_does_change_names() -> None:
-    """The count above is not blind: nobody can follow a step of the pattern's own period."""
     rng = np.random.default_rng(0)
     rest = SENSOR.press(SENSOR.probe("round"), Pose(0.0, 0.0, 0.0))
     frame = SENSOR.render(rest, rng)

@@ -53,8 +53,6 @@ def test_six_steps_give_order_and_axis_past_whole_orders_with_a_deviation_that_i
 
 
 def test_the_steps_are_those_of_a_polariscope_built_of_its_elements():
-    """Polariser and quarter-wave plate, specimen, quarter-wave plate and analyser, turned as published."""
-
     def plate(angle):
         return mueller(linear_retarder(0.25, angle))
 

@@ -69,7 +69,6 @@ def test_other_changes_are_called_no_flip() -> None:
 
 
 def test_touches_that_were_calibrated_on_one_side_alone_are_no_flip_on_the_other() -> None:
-    """Flipped back they are like those calibrated on; the skin around them is not."""
     for tilt in ((0.0, 0.0), (1.2, 0.9)):
         assert set(kinds(guard_of(tilt, LEFT), frames(tilt, 3, 20, RIGHT))) == {""}
 

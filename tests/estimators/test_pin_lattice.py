@@ -65,7 +65,6 @@ def test_one_nuisance_alone_costs_no_pin_and_moves_none(layout, what) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("layout", ["hexagonal", "rings"])
 def test_a_pin_has_the_name_of_its_place_whichever_others_are_hidden(layout) -> None:
-    """Up to one turn by sixths, the same for all frames of a sensor; also where the middle is hidden."""
     names: dict[tuple[int, int], set] = {}
     what = replace(DRAWN, layout=layout, blur_px=0.7, lamps=0, between=0, over=0, turn_rad=0.2)
     for seed in range(3):
@@ -123,7 +122,6 @@ def test_colour_frames_are_the_mean_of_their_channels_in_either_order() -> None:
 
 
 def test_pins_beside_glare_are_followed_where_they_go() -> None:
-    """The glare stands still and the pins move by a fifth of their distance."""
     what = replace(DRAWN, blur_px=1.0, hidden=3)
     first, *later = (
         frame_of(replace(what, shift_px=(k, 0.5 * k)), 8) for k in (0.0, 1.0, 2.0, 3.0)

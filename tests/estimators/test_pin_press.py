@@ -46,7 +46,6 @@ def test_a_good_press_is_followed_through_its_loading_part(made, frames) -> None
 
 
 def test_motion_is_what_the_markers_did(made, frames) -> None:
-    """Centroids are good to some hundredths of a pixel, those round the apex as well."""
     press = watch(made, frames)
     (rest, _), (last, _) = (made.points_px(int(i)) for i in (0, press.frame[-1]))
     order = [int(np.argmin(np.hypot(*(rest - xy).T))) for xy in press.untouched_px]

@@ -63,7 +63,6 @@ def test_a_pin_that_fades_is_lost_and_stays_lost(rng) -> None:
 
 
 def test_a_centroid_is_the_mean_place_weighed_by_what_is_over_the_floor(rng) -> None:
-    """Also at the border, where part of the window is outside the image."""
     image = drawn(np.array([[30.3, 40.2], [5.0, 4.0], [76.0, 75.2]]), rng, size=80)
     pins = PinTracks(
         np.array([[30.0, 40.0], [6.0, 5.0], [75.0, 75.0]]), 18.0, 200.0, np.full(3, 14.0), np.ones(3)

@@ -1,7 +1,5 @@
 """A reading is refused beyond the range, by estimate and by interval, and where it tells nothing."""
 
-from __future__ import annotations
-
 import pytest
 
 from palpate.core.refusal import ReasonCode

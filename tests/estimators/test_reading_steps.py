@@ -1,7 +1,5 @@
 """The reader on the page, which knows only the card and the model's file, reads what palpate reads."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any
@@ -117,7 +115,6 @@ def a_card_of_bands(target: TargetCard, rng: np.random.Generator) -> TargetCard:
 
 @pytest.mark.slow
 def test_uneven_intervals_and_the_range_s_rule_are_those_of_the_card(plain) -> None:
-    """Bands, limits of the range and an instrument drawn at random: each of them binds somewhere."""
     run, card = plain, read_card("cal")
     rng, refused, uneven, lengthened, by_instrument = np.random.default_rng(7), set(), 0, 0, 0
     for _ in range(25):

@@ -111,7 +111,6 @@ def test_contacts_are_counted(words, count):
 
 
 def test_a_pull_inwards_is_no_contact():
-    """The control: the same ring with the sign turned has none at its centre."""
     inward, outward = (find_rings(fields_of(formed((0, 0), A=A))) for A in (-5e-4, 5e-4))
     assert any(math.hypot(ring.x, ring.y) < 4e-3 for ring in outward)
     assert not any(math.hypot(ring.x, ring.y) < 4e-3 for ring in inward)

@@ -53,7 +53,6 @@ def test_a_flat_is_no_sphere_and_a_sphere_no_flat(rng) -> None:
 
 
 def test_with_shuffled_radii_the_surface_tells_nothing_of_them(rng) -> None:
-    """The error between references says so."""
     good = surface(FLATS + RIGID + SOFT, rng)
     moduli = [E for E, _ in FLATS + RIGID + SOFT]
     wrong = [INF, INF, INF, INF, 60e-3, 20e-3, 30e-3, 40e-3, 20e-3, 40e-3, 20e-3]

@@ -27,7 +27,6 @@ def marks(shift=(0.0, 0.0), columns=20, rows=15):
     ("force", "gamma", "total", "mean"), [(1, 0.6926, 12_466, 0.46), (8, 2.9579, 53_243, 1.98)]
 )
 def test_published_values_are_those_of_164_by_164_samples(force, gamma, total, mean):
-    """A shift of every sample by the published mean makes the published sum, gamma and force."""
     assert published_gamma(force) == pytest.approx(gamma, abs=5e-5)
     shift = published_gamma(force) / (PUBLISHED_ALPHA * PUBLISHED_SAMPLES)
     measure = shear_measure(strain_fields(marks(), marks((0.6 * shift, -0.8 * shift))))
@@ -60,7 +59,6 @@ def test_the_published_line_is_refused_where_it_was_not_drawn():
 
 
 def test_shear_from_pressure_is_the_slope_of_a_gaussian():
-    """A Gaussian pressure blurred by a Gaussian has a known slope."""
     x, y = np.linspace(-12e-3, 12e-3, 241), np.linspace(-10e-3, 10e-3, 201)
     X, Y = np.meshgrid(x, y)
     wide, blur, peak, E, t = 1.5e-3, 0.8e-3, 3e4, 0.3e6, 2e-3

@@ -1,5 +1,6 @@
 """Laws of the reader of touch on a patterned skin."""
 
+from copy import deepcopy
 from dataclasses import replace
 from functools import cache
 
@@ -27,14 +28,19 @@ def untouched():
     return frame_of()
 
 
-def reader():
+@cache
+def begun():
     return ShearReader(SKIN, untouched())
+
+
+def reader():
+    return deepcopy(begun())
 
 
 def test_a_press_is_found_where_it_is_and_nothing_is_found_without_one():
     """The thesis has 0.50 mm; 0.1 mm is five times the error at these forces."""
     own, rng = reader(), np.random.default_rng(3)
-    for i in range(4):
+    for i in range(2):
         x, y = rng.uniform(-18e-3, 18e-3), rng.uniform(-13e-3, 13e-3)
         readings = own.read(frame_of("round", x, y, rng.uniform(0.6e-3, 1.6e-3), i + 1))
         assert readings["contacts"].value == "1"

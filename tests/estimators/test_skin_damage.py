@@ -67,7 +67,6 @@ def test_no_press_on_a_whole_pad_looks_torn():
 
 
 def test_a_tear_that_gapes_is_told_at_rest_and_under_a_press():
-    """By its dark line, and in a frame without the line by how the marks beside it have moved."""
     for i, (angle, depth) in enumerate(((0.2, 0.0), (2.3, 0.8e-3))):
         tear = (4e-3 * (i - 1), 3e-3, angle, 12e-3, 0.4e-3)
         later = ShearReader(SKIN, frame(seed=i)).read(frame(1e-3, 0.0, depth, seed=9 + i, tear=tear))

@@ -75,7 +75,6 @@ def test_without_a_bend_intervals_hold_as_often_as_they_say_and_no_more(world, r
 
 @pytest.mark.parametrize("count", [2, 5])
 def test_the_half_width_is_student_s_t_of_the_trials_left_for_scatter(world, rng, count) -> None:
-    """Two coverages differ by the ratio of their quantiles, of trials less references degrees of freedom."""
     curve = replace(world.curve(rng, count=count), between=0.0)
     press = world.trials(2e3, 1, rng)
     half = {}
@@ -97,7 +96,6 @@ def test_a_rigid_plate_has_no_upper_end(world, rng) -> None:
 
 
 def test_two_references_work_and_their_interval_admits_what_is_between(rng) -> None:
-    """A line through two: exact where the truth is a line, wide since nothing says that it is."""
     world = World()
     world.shapes[2:] = 0.0
     ends = [np.inf, TURNING]

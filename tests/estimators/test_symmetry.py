@@ -56,7 +56,6 @@ def test_a_component_alone_turns_only_by_half_turns() -> None:
 
 
 def test_images_and_vectors_turn_the_same_way() -> None:
-    """A dot at (x, y) from the axis, labelled so, still lies where its turned label says."""
     side, axis = 64, (31.5, 31.5)
     rng = np.random.default_rng(0)
     places = rng.uniform(-18, 18, (20, 2))

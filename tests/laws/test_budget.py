@@ -1,7 +1,5 @@
 """The size of the package is measured as stated."""
 
-from __future__ import annotations
-
 import ast
 import importlib.util
 from pathlib import Path

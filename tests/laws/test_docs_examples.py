@@ -1,7 +1,5 @@
 """What the pages name is there: modules, names and keywords in Python, verbs and options as typed."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import inspect

@@ -1,7 +1,5 @@
 """The page on where code lives is short, names every room, and draws the layers that imports keep."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The menu of the documentation holds every page, from the first steps to the decisions."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any

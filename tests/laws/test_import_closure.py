@@ -1,7 +1,5 @@
 """How much of palpate the record verb loads: what it does not need stays on the disk."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path
@@ -24,7 +22,7 @@ CODE = """
 import sys
 from palpate.cli import app
 try:
-    app(["record", "--rig", "virtual:palm", "--plan", "plan.toml", "--out", "run", "--quiet"])
+    app(["record", "--rig", "virtual:palm-debug", "--plan", "plan.toml", "--out", "run", "--quiet"])
 except SystemExit as e:
     assert not e.code
 print(*sorted(name for name in sys.modules if name.partition(".")[0] == "palpate"))

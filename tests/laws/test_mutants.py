@@ -1,7 +1,5 @@
 """Each mutant of the frozen list changes a line of today's code, and what the line does."""
 
-from __future__ import annotations
-
 import sys
 from collections import Counter
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The page on the palm's study says what its data say, in its tables and where its sentences quote them."""
 
-from __future__ import annotations
-
 import copy
 import re
 import sys
@@ -50,7 +48,6 @@ def test_a_figure_of_a_sentence_stands_in_a_table_or_was_set() -> None:
 
 
 def test_another_result_makes_another_page() -> None:
-    """The control: of every measured error, one tenth more is seen."""
     data = study.stored()
     names = [name for name in data["found"] if name.startswith(("condition-", "mirror-", "setup-"))]
     assert len(names) > 10

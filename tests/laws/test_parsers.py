@@ -1,10 +1,9 @@
 """Every parser of the package refuses damage by an error of palpate's own tree, whatever the bytes."""
 
-from __future__ import annotations
-
 import ast
 import os
 import random
+import re
 import signal
 import zipfile
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 import pytest
 from jaxtyping import TypeCheckError
 from tests import parser_feeds as feeds
+from tests.laws.sources import containing
 
 from palpate.core import InputError, PalpateError, StorageError
 from palpate.core.array_files import read_arrays
@@ -20,7 +20,6 @@ from palpate.core.parsing import PARSERS, damage_refused, parser
 
 INPUTS = 25  # of each kind for each parser; `tools/fuzz_parsers.py` feeds as many as it has time for
 LIMIT_S = 20.0  # for one input, on a machine that does other work as well
-SOURCE = Path(__file__).parents[2] / "src" / "palpate"
 
 RAW = {
     "csv.reader", "csv.DictReader", "cv2.imread", "cv2.imdecode", "cv2.VideoCapture", "json.load",
@@ -78,9 +77,7 @@ def called(call: ast.Call) -> str:
 def test_every_module_that_decodes_has_a_parser_or_decodes_what_is_its_own() -> None:
     marked = {entry.path.partition(":")[0] for entry in PARSERS.values()}
     decoding = set()
-    for path in SOURCE.rglob("*.py"):
-        name = path.relative_to(SOURCE).as_posix()
-        tree = ast.parse(path.read_text(encoding="utf-8"))
+    for name, tree in containing("|".join(rf"\b{re.escape(call)}\b" for call in RAW)):
         if any(isinstance(one, ast.Call) and called(one) in RAW for one in ast.walk(tree)):
             module = "palpate." + name.removesuffix(".py").replace("/", ".")
             if module not in marked and not name.startswith("core/"):

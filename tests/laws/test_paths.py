@@ -1,7 +1,5 @@
 """Whatever takes a path takes it as text and as a Path, and does the same."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 
@@ -24,7 +22,9 @@ def at(request, tmp_path) -> Callable:
 
 
 @pytest.mark.cases(1)
-def test_a_calibration_is_made_opened_and_reported_on(at, record_spots) -> None:
+def test_a_calibration_is_made_opened_and_reported_on(
+    at, record_spots, changes_untried, figures_blank
+) -> None:
     run = record_spots("run", 10)
     palpate.certify(run, PLAN, at("certified"))
     palpate.calibrate(run, PLAN, at("cal"))

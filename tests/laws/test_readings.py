@@ -1,7 +1,5 @@
 """Laws of every kind of reading: arcs wrap, joint regions cover, units convert and cannot be mixed."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

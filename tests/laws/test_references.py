@@ -1,16 +1,14 @@
 """Identifiers in backticks name what exists: all docstrings, comments and messages of `src`, read as text."""
 
-from __future__ import annotations
-
 import ast
 import re
 from collections import defaultdict
+from collections.abc import Iterator
 from functools import cache
-from pathlib import Path
 
 import pytest
+from tests.laws.sources import REPOSITORY, text, tree
 
-REPOSITORY = Path(__file__).resolve().parents[2]
 SOURCES = (REPOSITORY / "src", REPOSITORY / "reproductions" / "src")
 PATHS = {path: path.relative_to(source) for source in SOURCES for path in sorted(source.rglob("*.py"))}
 """Modules of every distribution, and the place of each in its own."""
@@ -50,14 +48,18 @@ def names_in(body: list[ast.stmt]) -> set[str]:
     return names
 
 
-def members_of(node: ast.ClassDef) -> set[str]:
+def classes_in(body: list[ast.stmt]) -> Iterator[ast.ClassDef]:
+    for node in body:
+        if isinstance(node, ast.ClassDef):
+            yield node
+        for name in ("body", "orelse", "finalbody", "handlers", "cases"):
+            yield from classes_in(getattr(node, name, []))
+
+
+def members_of(node: ast.ClassDef, lines: list[str]) -> set[str]:
     """Fields, methods and attributes that a class sets on itself."""
-    own = {
-        one.attr
-        for one in ast.walk(node)
-        if isinstance(one, ast.Attribute) and isinstance(one.value, ast.Name) and one.value.id == "self"
-    }
-    return names_in(node.body) | own
+    own = re.findall(r"\bself\.(\w+)", "\n".join(lines[node.lineno - 1 : node.end_lineno]))
+    return names_in(node.body) | set(own)
 
 
 @cache
@@ -69,12 +71,11 @@ def package() -> tuple[Names, Names]:
     for path, place in PATHS.items():
         parts = place.with_suffix("").parts
         dotted = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
-        tree = ast.parse(path.read_text(encoding="utf-8"))
-        modules[dotted] = names_in(tree.body)
-        for node in ast.walk(tree):
-            if isinstance(node, ast.ClassDef):
-                members[node.name] |= members_of(node)
-                bases[node.name] = [base.id for base in node.bases if isinstance(base, ast.Name)]
+        modules[dotted] = names_in(tree(path).body)
+        lines = text(path).splitlines()
+        for node in classes_in(tree(path).body):
+            members[node.name] |= members_of(node, lines)
+            bases[node.name] = [base.id for base in node.bases if isinstance(base, ast.Name)]
     for name in members:
         above = list(bases[name])
         while above:
@@ -123,7 +124,7 @@ def test_what_stands_in_backticks_exists() -> None:
     dead = [
         (str(place), line, name)
         for path, place in PATHS.items()
-        for line, name in identifiers(path.read_text(encoding="utf-8"))
+        for line, name in identifiers(text(path))
         if not exists(name)
     ]
     assert dead == []

@@ -1,7 +1,5 @@
 """The pages say of what is verified what the comparisons themselves say, and their pictures are there."""
 
-from __future__ import annotations
-
 import re
 import sys
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """A child that runs a participant's sitting, slowly, until it is killed. Argument: the experiment."""
 
-from __future__ import annotations
-
 import sys
 import time
 from pathlib import Path

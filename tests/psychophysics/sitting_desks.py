@@ -1,7 +1,5 @@
 """Desks and presenters for tests of sittings: what was told is kept, what is typed comes from a list."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Conditions over participants: models as independent codes have them, tests at their rate."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import statsmodels.api as sm
@@ -78,14 +76,15 @@ def test_without_scatter_the_mixed_model_is_plain_and_with_it_the_scatter_is_fou
     assert fit.converged
 
 
-def test_intervals_of_both_models_hold_the_truth_and_no_difference_is_seldom_found() -> None:
+@pytest.mark.parametrize("studies", [25, pytest.param(100, marks=pytest.mark.slow)])
+def test_intervals_of_both_models_hold_the_truth_and_no_difference_is_seldom_found(studies: int) -> None:
     rng, held, found = np.random.default_rng(5), 0, 0
-    for _ in range(100):
+    for _ in range(studies):
         pair = fit_mixed_logistic(drawn(rng, (1.2, 0.4), 0.8)).pairs[0]
         held += pair.low <= -0.8 <= pair.high
         found += marginal_log_odds(drawn(rng, (0.5, 0.5), 0.8))[0].p < 0.05
-    assert held >= stats.binom.ppf(0.001, 100, 0.95)
-    assert found <= stats.binom.ppf(0.999, 100, 0.06)
+    assert held >= stats.binom.ppf(0.001, studies, 0.95)
+    assert found <= stats.binom.ppf(0.999, studies, 0.06)
 
 
 def test_a_condition_that_is_all_right_is_told_by_what_stays_finite() -> None:

@@ -1,7 +1,5 @@
 """An experiment's analysis: what was put in comes out, and what is lacking is counted and said."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace
@@ -15,14 +13,7 @@ from typer.testing import CliRunner
 
 from palpate.cli import app
 from palpate.core import InputError
-from palpate.psychophysics import (
-    Condition,
-    Judgement,
-    Presentation,
-    Stimulus,
-    Task,
-    write_stimuli,
-)
+from palpate.psychophysics import Condition, Judgement, Presentation, Stimulus, Task, write_stimuli
 from palpate.psychophysics.analysis import analyse_experiment
 
 LEVELS = (240.0, 170.0, 120.0, 80.0, 50.0)
@@ -128,17 +119,17 @@ def test_one_participant_all_right_and_all_wrong_are_answered_with_bounds() -> N
     assert all(one.clusters is None for one in alone.accuracies)
     assert any("one participant" in one for one in alone.caveats)
     certain = dict.fromkeys(NOISE_KPA, 1e-6)
-    right = analyse_experiment(simulated(3, noise=certain), STIMULI)
+    right = analyse_experiment(simulated(2, noise=certain), STIMULI)
     for one in right.accuracies:
         assert one.share == 1.0
         assert one.wald == (1.0, 1.0)
         assert one.clusters[0] < one.wilson[0] < 1.0
-    assert any("all 72" in one for one in right.caveats)
+    assert any("all 48" in one for one in right.caveats)
     assert all(not one.fit.spread.bounded[0] for one in right.thresholds)
     assert right.comparisons[0].marginal == ()
     wrong = {name: replace(one, softer=1) for name, one in STIMULI.items()}
-    turned = analyse_experiment(simulated(3, noise=certain), wrong)
-    assert any("all 72" in one for one in turned.caveats)
+    turned = analyse_experiment(simulated(2, noise=certain), wrong)
+    assert any("all 48" in one for one in turned.caveats)
     json.dumps(turned.to_dict(), allow_nan=False)
     with refused("no-answers", InputError):
         analyse_experiment([], STIMULI, unanswered=["a", "b"])
@@ -162,7 +153,7 @@ def study(tmp_path) -> Path:
     return tmp_path
 
 
-def test_the_verb_prints_answers_first_and_makes_one_page(study: Path, tmp_path) -> None:
+def test_the_verb_prints_answers_first_and_makes_one_page(study: Path, tmp_path, figures_blank) -> None:
     page = tmp_path / "study.html"
     said = palpate("experiment", "analyze", study, "--out", page)
     assert said.startswith("Pairs: ")

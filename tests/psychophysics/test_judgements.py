@@ -1,7 +1,5 @@
 """Tables of judgements: what is written is read back, and what cannot be true is refused."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Answers are analysed by the design that they belong to, with consent, and as what they are."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Psychometric functions: greatest likelihood as another code finds it, and honest answers at the ends."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -47,7 +45,6 @@ def test_a_function_is_half_at_its_threshold_and_three_quarters_a_spread_above(s
 def test_neither_a_level_far_off_nor_many_answers_move_the_posterior(
     far: float, n: int, lapse: float | None
 ) -> None:
-    """Answers as they are expected: the medians are the truth, the widths those of the Fisher information."""
     x, m, slip = np.append(LEVELS, far), np.full(6, n), 0.0 if lapse is not None else 0.03
     k = np.round(n * (slip + (1 - 2 * slip) * stats.norm.cdf((x - 3.1) / 0.8 * stats.norm.ppf(0.75)))).astype(
         int
@@ -92,14 +89,15 @@ def test_answers_without_a_slope_have_wide_intervals_and_say_so(given, code, bou
         assert not fit.spread.bounded[0]
 
 
-def test_the_deviance_is_judged_at_its_rate_and_sees_answers_that_scatter_too_much() -> None:
+@pytest.mark.parametrize("studies", [20, pytest.param(80, marks=pytest.mark.slow)])
+def test_the_deviance_is_judged_at_its_rate_and_sees_answers_that_scatter_too_much(studies: int) -> None:
     truth, rng = PsychometricFunction(SigmoidShape.GAUSSIAN, 3.0, 0.8), np.random.default_rng(2)
 
     def p(k) -> float:
         return fit_psychometric(LEVELS, k, [30] * 5, deviance_draws=99, rng=rng).deviance_p
 
-    small = sum(p(rng.binomial(30, truth(LEVELS))) < 0.1 for _ in range(80))
-    low, high = stats.binom.ppf([0.001, 0.999], 80, 0.1)
+    small = sum(p(rng.binomial(30, truth(LEVELS))) < 0.1 for _ in range(studies))
+    low, high = stats.binom.ppf([0.001, 0.999], studies, 0.1)
     assert low <= small <= high
     assert p([12, 2, 25, 12, 30]) < 0.02
 

@@ -1,7 +1,5 @@
 """Rankings: confusions add up, accuracies come from counts, correlations are exact."""
 
-from __future__ import annotations
-
 from itertools import permutations
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Rank observers: rank matrices against other ways to them."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Sittings: an answer is on disk at once, nothing is asked twice or left out, and all are blind."""
 
-from __future__ import annotations
-
 import errno
 import os
 import re

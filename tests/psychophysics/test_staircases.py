@@ -1,7 +1,5 @@
 """Staircases settle where their rule says, and the Bayesian placement asks where an answer tells most."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

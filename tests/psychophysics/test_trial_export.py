@@ -1,7 +1,5 @@
 """Exported tables say what was judged, in the layout of BIDS, and no more."""
 
-from __future__ import annotations
-
 import json
 import re
 

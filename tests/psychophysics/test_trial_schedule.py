@@ -1,7 +1,5 @@
 """Schedules: balanced, a pure function of design, seed and number, and the same on every machine."""
 
-from __future__ import annotations
-
 import itertools
 from collections import Counter
 from dataclasses import replace

@@ -46,7 +46,6 @@ TIED = [
 
 @pytest.mark.parametrize(("a", "b"), TIED)
 def test_with_ties_the_rank_sum_test_of_small_groups_counts_every_order(a, b) -> None:
-    """Every choice of the first group out of all values, one by one."""
     pair = compare({"a": single(a), "b": single(b)}).pair("a", "b")
     ranks = rankdata(a + b)
     sums = [sum(chosen) for chosen in combinations(ranks, len(a))]

@@ -1,7 +1,5 @@
 """The page answers first, in sentences that the numbers bear out, and shows what there is to show."""
 
-from __future__ import annotations
-
 import html
 import json
 import re
@@ -35,14 +33,14 @@ from palpate.reports.sections import (
     reading_half_width,
 )
 
-pytestmark = pytest.mark.usefixtures("figures_drawn_once")
+pytestmark = pytest.mark.usefixtures("figures_drawn_once", "changes_untried")
 
 TEMPLATES = Path(calibration_figures.__file__).parent / "templates"
 
 
 @pytest.fixture(scope="module")
-def made(record_spots_module, tmp_path_factory):
-    plan = CalibrationPlan(("x_mm", "height_mm"), "pca-ridge", split="group:press", size_px=(24, 32))
+def made(record_spots_module, tmp_path_factory, changes_untried):
+    plan = CalibrationPlan(("x_mm", "height_mm"), "pca-ridge", split="group:press", size_px=(12, 16))
     run = record_spots_module("run", 16)
     return calibrate(run, plan, tmp_path_factory.mktemp("made") / "cal"), run
 

@@ -1,7 +1,5 @@
 """Two calibrations side by side: compared row by row where they can be, and else told why not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -23,7 +21,7 @@ from palpate.reports.comparison_page import (
     write_comparison,
 )
 
-pytestmark = pytest.mark.usefixtures("changes_untried")
+pytestmark = pytest.mark.usefixtures("changes_untried", "figures_blank")
 
 
 @pytest.fixture
@@ -33,7 +31,7 @@ def calibrated(calibrate_spots, tmp_path):
 
     def make(out: str, run: str = "run", **changes):
         plan = {"targets": ("x_mm", "height_mm"), "model": "pca-ridge", "split": "group:press"}
-        plan |= {"size_px": (24, 32)} | changes
+        plan |= {"size_px": (12, 16)} | changes
         return calibrate_spots(tmp_path / out, run_seed=runs.setdefault(run, len(runs)), **plan)[1]
 
     return make

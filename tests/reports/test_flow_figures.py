@@ -26,7 +26,7 @@ def stretch(rng, tmp_path):
     return tmp_path / "stretch.tif"
 
 
-def test_the_table_holds_the_means_of_every_step(rng, stretch, tmp_path) -> None:
+def test_the_table_holds_the_means_of_every_step(rng, stretch, tmp_path, figures_blank) -> None:
     write_flow(stretch, tmp_path / "out", region_px=(20, 10, 40, 30))
     table = pd.read_csv(tmp_path / "out/flow.csv")
     pages = tifffile.imread(stretch)
@@ -50,14 +50,14 @@ def test_the_picture_is_no_blank_sheet(stretch, tmp_path) -> None:
 
 @pytest.mark.parametrize("shape", [(8, 8), (3, 200), (200, 3)])
 @pytest.mark.cases(1)
-def test_still_small_and_narrow_frames_are_drawn(tmp_path, shape) -> None:
+def test_still_small_and_narrow_frames_are_drawn(tmp_path, shape, figures_small) -> None:
     tifffile.imwrite(tmp_path / "still.tif", np.full((3, *shape), 90, np.uint8), photometric="minisblack")
     found = write_flow(tmp_path / "still.tif", tmp_path / "out")
     assert found["mean_speed_px"] == 0
     assert (tmp_path / "out/flow.png").is_file()
 
 
-def test_a_folder_is_whole_or_not_there(stretch, tmp_path) -> None:
+def test_a_folder_is_whole_or_not_there(stretch, tmp_path, figures_blank) -> None:
     with pytest.raises(InputError, match="no method"):
         write_flow(stretch, tmp_path / "out", method="by eye")
     assert {path.name for path in tmp_path.iterdir()} == {"stretch.tif"}

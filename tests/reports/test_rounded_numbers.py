@@ -1,7 +1,5 @@
 """Digits of a number are those that its interval bears out."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -39,7 +37,6 @@ def test_a_half_width_keeps_two_digits_at_every_size(rng) -> None:
 
 
 def test_what_is_cut_off_is_less_than_a_tenth_of_the_interval(rng) -> None:
-    """The place is right to within a factor of ten: one digit more would be noise, one less would mislead."""
     for value, half in zip(rng.normal(0, 100, 500), 10 ** rng.uniform(-4, 3, 500), strict=True):
         off = abs(float(rounded(value, half)) - value)
         assert off <= 0.0501 * half

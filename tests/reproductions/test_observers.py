@@ -1,7 +1,5 @@
 """Observers: fits, cues that combine, and predictions that can fail."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

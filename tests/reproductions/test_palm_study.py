@@ -120,7 +120,6 @@ def test_a_network_is_ahead_only_where_the_intervals_over_places_do_not_overlap(
 @pytest.mark.slow
 @pytest.mark.timeout(1500)
 def test_a_tiny_study_runs_from_end_to_end(tmp_path):
-    """Every part, at a size at which no model learns anything: that it runs, goes on, and is written up."""
     out = tmp_path / "study"
     tiny = replace(TINY, loads=40)  # of every shape enough to hold out a fifth
     entries = reproduce_palm(out, tiny, seed=0)

@@ -1,7 +1,5 @@
 """The softness report's experiments with people: golden values, named misprints, a failure that stands."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

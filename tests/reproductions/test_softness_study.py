@@ -1,7 +1,5 @@
 """The softness report's study: golden radii, the specimens' idea, the tracking and its controls."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -121,7 +121,6 @@ def test_conditions_change_the_sensor_that_they_are_given() -> None:
 
 
 def test_divergence_hardly_depends_on_how_many_steps_there_are(spec) -> None:
-    """Over the true contact, many small steps come to the integral: a tenth of them are enough."""
     press = head_on(spec, S1).press
     coarse, many = (
         true_divergence(spec, press, np.linspace(FROM_N, TO_N, n))["contact"].sum() for n in (20, 400)
@@ -187,7 +186,6 @@ def test_the_contact_edge_rolls_over_the_skin(spec) -> None:
 
 
 def test_outer_contours_know_the_force_and_not_the_specimen(spec) -> None:
-    """Beyond the contact the skin carries the force, whatever it is pressed on."""
     outer = [one for one in contours(spec, (2.0,), (300.0,)) if one.flank == "outer"]
     areas, contacts = (np.concatenate([getattr(c, of) for c in outer]) for of in ("area_m2", "contact_m2"))
     assert len(areas) == 4

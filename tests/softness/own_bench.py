@@ -1,7 +1,5 @@
 """Devices of one's own for a bench's file: a virtual display and arm that share their physics, and faults."""
 
-from __future__ import annotations
-
 import time
 
 from palpate.core import Clock, DisplaySample

@@ -1,7 +1,5 @@
 """The bench's physics against closed forms: flow, gas, contact, energy."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import astuple
 

@@ -1,7 +1,5 @@
 """A display's bench test: what the law misses, and displays and sensors that are not as stated are found."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The arm of Force Dimension, driven against a fake of its library: signs, limits, faults and brakes."""
 
-from __future__ import annotations
-
 import ast
 import importlib.util
 import inspect

@@ -1,7 +1,5 @@
 """The Modbus TCP client, byte by byte, against a socket that answers what it is told to."""
 
-from __future__ import annotations
-
 import socket
 import time
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """How fast a pressure follows: a display of first order has its closed form, and bad requests are refused."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

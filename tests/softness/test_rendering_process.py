@@ -1,7 +1,5 @@
 """A rendering in its own process: it tells how it goes, and is safe whatever becomes of whoever began it."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
@@ -13,7 +11,7 @@ import numpy as np
 import pytest
 from tests.refusals import refused
 
-from palpate.core import DeviceError, InputError, PalpateError, RangeError, SafetyError
+from palpate.core import DeviceError, InputError, RangeError, SafetyError
 from palpate.devices.supervisor import process_link
 from palpate.softness import Characteristic, Mode, SoftObject
 from palpate.softness.process import RenderingSession, read_bench
@@ -236,5 +234,3 @@ def test_a_mode_that_needs_a_display_is_refused_without_one(tmp_path: Path) -> N
 def test_what_the_process_refuses_is_raised_as_it_was() -> None:
     with refused("force-range", RangeError):
         RenderingSession(read_bench(None), LINE, Mode.BOTH, peak_n=40.0)
-    with pytest.raises(PalpateError):
-        RenderingSession(read_bench(None), LINE, Mode.BOTH, frequency_hz=-1.0)

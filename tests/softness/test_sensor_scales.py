@@ -1,7 +1,5 @@
 """Volts to millimetres and pascals: what a table and a line say, and where they say nothing."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

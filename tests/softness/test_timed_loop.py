@@ -1,7 +1,5 @@
 """A loop on the machine's clock begins at equal times, and makes up for none that it missed."""
 
-from __future__ import annotations
-
 import gc
 import time
 
@@ -11,6 +9,12 @@ from tests.refusals import refused
 
 from palpate.core import RangeError
 from palpate.softness.control.timed_loop import LATE_S, LoopTiming, Pace, run_paced, run_timed
+
+
+@pytest.fixture(autouse=True)
+def no_search(monkeypatch) -> None:
+    """A search of all that pytest holds takes seconds."""
+    monkeypatch.setattr(gc, "collect", lambda: 0)
 
 
 def test_a_loop_begins_once_in_a_period() -> None:

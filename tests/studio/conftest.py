@@ -1,7 +1,10 @@
-"""One headless browser for the tests of a module."""
+"""A headless browser for the tests of a module, and one server for the tests that ask it for pages."""
 
 import pytest
 from tests.studio import devtools
+
+REQUEST_S = 1.0
+"""Time within which a request to `plain_served` is complete [s]."""
 
 
 @pytest.fixture(scope="module")
@@ -11,3 +14,13 @@ def browser(tmp_path_factory):
     browser = devtools.Browser(tmp_path_factory.mktemp("profile"))
     yield browser
     browser.close()
+
+
+@pytest.fixture(scope="session")
+def plain_served():
+    """The server before a made-up rig at rest, which no test turns into anything else."""
+    from tests.studio.test_page_security import Served
+
+    served = Served(REQUEST_S=str(REQUEST_S))
+    yield served
+    served.close()

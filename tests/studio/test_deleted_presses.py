@@ -42,7 +42,6 @@ def deleted(tmp_path):
 def test_pressed_anew_are_as_many_as_were_asked_for_and_the_file_waits_for_the_camera(
     deleted, more, monkeypatch
 ):
-    """Without it the session cannot go on, as nothing is there to learn from."""
     opened_for = []
 
     def feed(session, **_):

@@ -12,19 +12,8 @@ pytest.importorskip("nicegui", reason="NiceGUI is not installed")
 from tests.refusals import refused
 
 from palpate.core import DeviceError, InputError
-from palpate.studio.live.live_desk import (
-    MAX_SENSORS,
-    SPAN_S,
-    LiveDesk,
-    LiveProcesses,
-    LiveSample,
-    LiveSensor,
-)
-from palpate.studio.live.live_drawing import (
-    overlay_svg,
-    place_svg,
-    reading_svg,
-)
+from palpate.studio.live.live_desk import MAX_SENSORS, SPAN_S, LiveDesk, LiveProcesses, LiveSample, LiveSensor
+from palpate.studio.live.live_drawing import overlay_svg, place_svg, reading_svg
 from palpate.studio.live.live_page import facts_html, head_html, live_address
 from palpate.studio.live.start_desk import StartDesk
 

@@ -10,8 +10,6 @@ import pytest
 pytest.importorskip("nicegui", reason="NiceGUI is not installed")
 pytest.importorskip("websockets", reason="websockets is not installed")
 
-from tests.studio.test_page_security import Served
-
 from palpate.studio import page_style
 
 AGES = {"force": 0.0, "position": 0.0, "camera": 0.0, "engine": None}
@@ -19,12 +17,10 @@ BODY_TEXT, LARGE_TEXT = 4.5, 3.0
 """Least contrast of text on its ground, and of large text (success criterion 1.4.3)."""
 
 
-@pytest.fixture(scope="module")
-def served():
-    served = Served()
-    served.tell(json.dumps({"ages_s": AGES}))
-    yield served
-    served.close()
+@pytest.fixture
+def served(plain_served):
+    plain_served.tell(json.dumps({"ages_s": AGES}))
+    return plain_served
 
 
 class Parsed(HTMLParser):

@@ -19,12 +19,7 @@ pytest.importorskip("websockets", reason="websockets is not installed")
 
 from tests.studio.served_page import TOKEN
 
-from palpate.studio.page_security import (
-    HEADERS,
-    TokenGate,
-    names_of_server,
-    refusal,
-)
+from palpate.studio.page_security import HEADERS, TokenGate, names_of_server, refusal
 from palpate.studio.page_server import HEADER
 
 MAX_S = 60.0
@@ -105,11 +100,9 @@ class Served:
         self._own.cleanup()
 
 
-@pytest.fixture(scope="module")
-def served():
-    served = Served()
-    yield served
-    served.close()
+@pytest.fixture
+def served(plain_served):
+    return plain_served
 
 
 def own(served, name="localhost"):

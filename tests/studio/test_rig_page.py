@@ -109,14 +109,17 @@ class Studio:
         """What it says as it leaves, while nobody but its page stays at the rig."""
         self.rig.leave()
         self.process.send_signal(number)
-        said, _ = self.process.communicate(timeout=MAX_S)
-        return said.decode()
+        self.process.wait(MAX_S)
+        # Its stop listener lingers for seconds, and holds the other end of the pipe.
+        os.set_blocking(self.process.stdout.fileno(), False)
+        return (self.process.stdout.read() or b"").decode()
 
     def close(self):
         self.rig.close()
         if self.process.poll() is None:
             self.process.kill()
-        self.process.communicate()
+        self.process.wait()
+        self.process.stdout.close()
         address = find(RIG, self.addresses)
         if address is not None:
             os.kill(address.pid, signal.SIGTERM)

@@ -45,10 +45,10 @@ def test_the_rigs_page_says_of_a_virtual_rig_that_it_is_simulated(simulated) -> 
 
 
 @pytest.fixture(scope="module")
-def calibrated(tmp_path_factory):
+def calibrated(tmp_path_factory, changes_untried):
     """Two calibrations of virtual presses: of images that show the force, and of images that show nothing."""
     folder, rng = tmp_path_factory.mktemp("calibrated"), np.random.default_rng(0)
-    plan = CalibrationPlan(targets=("force_N",), split="group:press", model="pca-ridge", size_px=(12, 16))
+    plan = CalibrationPlan(targets=("force_N",), split="group:press", model="pca-ridge", size_px=(6, 8))
     manifest = Manifest.new(
         sensor="s",
         labels={"force_N": "number", "press": "text"},

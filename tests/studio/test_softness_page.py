@@ -1,7 +1,5 @@
 """The softness page: what the server keeps, what is drawn of it, and one stop for all that may move."""
 
-from __future__ import annotations
-
 import html
 import os
 import re

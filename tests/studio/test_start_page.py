@@ -10,14 +10,7 @@ pytest.importorskip("websockets", reason="websockets is not installed")
 pytest.importorskip("psutil", reason="psutil is not installed")
 
 import psutil
-from tests.studio.page_driving import (
-    DESK,
-    PHONE,
-    opened,
-    serving,
-    weak_texts,
-    wider_than,
-)
+from tests.studio.page_driving import DESK, PHONE, opened, serving, weak_texts, wider_than
 
 from palpate.recordings import Run
 

@@ -11,22 +11,19 @@ import pytest
 pytest.importorskip("nicegui", reason="NiceGUI is not installed")
 pytest.importorskip("websockets", reason="websockets is not installed")
 
+from tests.studio.conftest import REQUEST_S
 from tests.studio.stop_load import Load, Stops, line, measured, started
-from tests.studio.test_page_security import Served
 
 from palpate.studio import page_limits
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes are ended by POSIX signals")
-REQUEST_S = 1.0
 STOP_MS = 50.0
 """Time of a stop at the 99th percentile, on a machine that does nothing else [ms]."""
 
 
-@pytest.fixture(scope="module")
-def served():
-    served = Served(REQUEST_S=str(REQUEST_S))
-    yield served
-    served.close()
+@pytest.fixture
+def served(plain_served):
+    return plain_served
 
 
 @pytest.mark.slow

@@ -23,7 +23,7 @@ from palpate.devices.rpc import (
     workspace_folder,
 )
 from palpate.devices.rpc_server import RpcServer
-from palpate.studio import stop_process
+from palpate.studio import stop_listener, stop_process
 from palpate.studio.stop_listener import SCRIPT, StopListener, rig_targets
 from palpate.studio.stop_process import is_moving
 
@@ -64,6 +64,23 @@ def rig(tmp_path):
 
 @pytest.fixture
 def listener(tmp_path):
+    with StopListener(rig_targets(RIG, BENCH, tmp_path)) as listener:
+        yield listener
+    with suppress(ProcessLookupError):
+        os.kill(listener.pid, signal.SIGKILL)
+
+
+@pytest.fixture
+def quick_listener(tmp_path, monkeypatch):
+    """A listener whose times are a tenth as long."""
+    text = SCRIPT.read_text(encoding="utf-8")
+    for name in ("REQUEST_S", "LINGER_S"):
+        seconds = getattr(stop_process, name)
+        assert f"\n{name} = {seconds}" in text
+        text = text.replace(f"\n{name} = {seconds}", f"\n{name} = {seconds / 10}")
+        monkeypatch.setattr(stop_process, name, seconds / 10)
+    (tmp_path / "quick.py").write_text(text, encoding="utf-8")
+    monkeypatch.setattr(stop_listener, "SCRIPT", tmp_path / "quick.py")
     with StopListener(rig_targets(RIG, BENCH, tmp_path)) as listener:
         yield listener
     with suppress(ProcessLookupError):
@@ -246,7 +263,8 @@ def test_a_page_with_the_token_may_read_the_answer_without_a_preflight(listener,
     connection.close()
 
 
-def test_half_open_requests_end_in_time_and_the_newest_is_always_served(listener, rig):
+def test_half_open_requests_end_in_time_and_the_newest_is_always_served(quick_listener, rig):
+    listener = quick_listener
     reached(listener, RIG)
     many = []
     try:
@@ -284,13 +302,14 @@ def test_a_page_that_has_proven_the_token_is_kept_when_others_crowd_in(listener,
         one.close()
 
 
-def test_the_listener_outlives_its_server_until_nothing_is_left_to_stop(listener, rig):
+def test_the_listener_outlives_its_server_until_nothing_is_left_to_stop(quick_listener, rig):
+    listener = quick_listener
     reached(listener, RIG)
     listener.close()  # as when the server is killed: its end of the pipe is closed
     time.sleep(1.5 * stop_process.LINGER_S)
     assert listener.ask("stop")["ok"]
     rig.close()
-    listener._process.wait(3 * stop_process.LINGER_S)
+    listener._process.wait(MAX_S)
 
 
 def test_a_listener_that_is_killed_is_restarted_with_its_port_and_token(listener, rig):

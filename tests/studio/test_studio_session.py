@@ -12,14 +12,7 @@ pytest.importorskip("websockets", reason="websockets is not installed")
 from tests.studio import devtools
 from tests.studio.page_driving import choose
 from tests.studio.test_page_security import Served
-from tests.studio.test_rig_page import (
-    MAX_S,
-    Studio,
-    opened,
-    state_is,
-    until_it_presses,
-    use_small_plan,
-)
+from tests.studio.test_rig_page import MAX_S, Studio, opened, state_is, until_it_presses, use_small_plan
 
 from palpate.devices.rpc import find
 from palpate.sensing.live_client import LiveClient
@@ -82,7 +75,6 @@ def test_a_session_from_the_plan_to_a_report_and_live_newtons(browser, studio, t
 @pytest.mark.parametrize("studio", [("--accelerated",)], indirect=True)
 @pytest.mark.parametrize("way", ["#estop", "Escape"])
 def test_the_page_of_live_sensors_stops_a_rig_that_moves(browser, studio, way):
-    """In virtual time: in real time a rig that a busy computer keeps waiting stops by itself before."""
     rig_tab = opened(browser, studio)
     use_small_plan(rig_tab)
     rig_tab.type(".field-cycles input", "80")

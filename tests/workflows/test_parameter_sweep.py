@@ -1,7 +1,5 @@
 """A sweep gives the same results whoever works, says which item failed, and leaves nothing running."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import signal

@@ -16,12 +16,7 @@ from palpate.recordings.exchange.press_folder import press_folder
 from palpate.recordings.exchange.press_table import read_press_table
 from palpate.rig.virtual.linear_rig import LINEAR_RIG
 from palpate.sensors.tactip import tactip
-from palpate.workflows.tactip_trials import (
-    at_finite_strain,
-    record_press,
-    record_trials,
-    specimens_at,
-)
+from palpate.workflows.tactip_trials import at_finite_strain, record_press, record_trials, specimens_at
 
 
 @pytest.fixture(scope="module")
@@ -172,7 +167,6 @@ SLOW_BODY = "viscous:E_MPa=0.1,E1_MPa=0.1,tau1_s=0.3"
 
 @pytest.mark.slow
 def test_a_viscous_specimens_force_falls_while_the_tip_stands_still() -> None:
-    """Towards that of the relaxed one, and the contact shrinks with it; an elastic one's does not."""
     spec = tactip()
     (slow, soft) = specimens_at(spec, {"slow": SLOW_BODY, "soft": 3.1e3}).values()
     held, elastic = (record_press(spec, words, 3, hold_s=3.0) for words in (slow, soft))
