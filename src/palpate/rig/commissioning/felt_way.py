@@ -17,6 +17,7 @@ ONSET_N, ONSET_SIGMAS = 0.1, 20.0  # change of force that is contact for certain
 AIR_SHARE = 0.25  # of that change, below which the probe was still in the air
 GROWTH = 1.25  # least factor by which the force rises while the depth doubles
 LEAST_M = 50e-6  # over which no growth is asked for
+CLEAR_M = 0.1e-3  # of air left between the probe and the contact that ended a way
 _STANDS = (Reason.STAGE, Reason.STAGE_LATE, Reason.HARDWARE_STOP)  # where nothing more is to be moved
 
 
@@ -63,7 +64,7 @@ class FeltWay:
 
 
 def feel_way(guard: MotionGuard, target: Position, speed_m_s: float, noise_n: float) -> None:
-    """Move from the air to a target; where contact ends that, go back to where the air ended.
+    """Move from the air to a target; where contact ends that, go back into the air.
 
     Args:
         guard: Zeroed in the air.
@@ -92,7 +93,7 @@ def feel_way(guard: MotionGuard, target: Position, speed_m_s: float, noise_n: fl
             stopped = e
     if stopped.reason in _STANDS or not way.began_m < math.dist(start, guard.position_m()):
         raise stopped
-    share = way.began_m / math.dist(start, target)
+    share = max(way.began_m - CLEAR_M, 0.0) / math.dist(start, target)
     x, y, z = (a + share * (b - a) for a, b in zip(start, target, strict=True))
     back_m = math.dist((x, y, z), guard.position_m())
     try:
