@@ -3,7 +3,7 @@
 import numpy as np
 
 from palpate.estimators.fringe_light import white_led
-from palpate.mechanics.disc_stress import disc_difference
+from palpate.mechanics.probe_contact import disc_difference
 from palpate.optics.polariscope import linear_retarder, mueller
 
 LED = white_led()

@@ -185,7 +185,7 @@ def sealed_read(folder: Path) -> object:
 
 
 def evaluation_read(folder: Path) -> object:
-    from palpate.calibration.sessions.evaluation_record import read_evaluation
+    from palpate.calibration.sessions.session_findings import read_evaluation
     from palpate.estimators import read_card
 
     return read_evaluation(folder / "cal" / "evaluation.json", read_card(folder / "cal"))
@@ -252,7 +252,7 @@ FEEDS: dict[str, Feed] = {
     "lens file": simple("core.lens:Lens.read", "lens.json", text("lens.json", lens_text)),
     "lens card": Feed(text("lens.json", lens_text), "lens.json", lens_card_read),
     "TOML file": simple(
-        "devices.file_fields:read_toml", "a.toml", text("a.toml", lambda: toml_of("record-with-a-rig", 1))
+        "devices.device_plugins:read_toml", "a.toml", text("a.toml", lambda: toml_of("record-with-a-rig", 1))
     ),
     "rig file": simple(
         "rig.rig_file.opened_rig:read_rig", "a.toml", text("a.toml", lambda: toml_of("record-with-a-rig", 1))
@@ -279,14 +279,14 @@ FEEDS: dict[str, Feed] = {
         lambda folder: shutil.copy(PRESETS / "digit.toml", folder / "own.toml"),
     ),
     "instrument file": simple(
-        "recordings.reference_instruments:read_instruments", "a.toml",
+        "recordings.manifest:read_instruments", "a.toml",
         text("a.toml", lambda: toml_of("calibrate-your-sensor", 0)),
     ),
     "skin file": simple(
         "estimators.lattice.dotted_skin:read_skin", "skin.toml", text("skin.toml", "pitch_mm = 2.0\n")
     ),
     "color table": simple(
-        "estimators.fringe_map.colour_table:read_table", "table.csv", text("table.csv", color_rows)
+        "estimators.fringe_map.colour_order:read_table", "table.csv", text("table.csv", color_rows)
     ),
     "sealed card": Feed(golden("cal/"), "cal/card.json", sealed_read),
     "calibration card": Feed(
@@ -297,7 +297,7 @@ FEEDS: dict[str, Feed] = {
     ),
     "novelty guard": simple("estimators.guard.novelty:NoveltyDetector.load", "cal/guard.npz", guard_file),
     "copy discriminator": simple(
-        "estimators.guard.copy_discriminator:CopyDiscriminator.load", "a.npz",
+        "estimators.guard.novelty:CopyDiscriminator.load", "a.npz",
         data("a.npz", lambda: npz_bytes(axis=np.ones(4), offset=np.zeros(()), limit=np.ones(()))), 4,
     ),
     "calibration kind": simple(
@@ -337,11 +337,11 @@ FEEDS: dict[str, Feed] = {
     "run chunk": Feed(golden("run/"), "run/0000-frames.mcap", chunks_read),
     "run notes": Feed(
         text("notes.jsonl", '{"time_s": 1.0, "text": "hello", "written_utc": "2026-01-01T00:00:00"}\n'),
-        "notes.jsonl", call("recordings.run_notes:read_notes"),
+        "notes.jsonl", call("recordings.manifest:read_notes"),
     ),
     "packed set": Feed(packed, "packed/card.json", call("recordings.packed_set:PackedSet.open", at="packed")),
     "stored table": simple(
-        "recordings.table_files:read_table", "cal/predictions.parquet", golden("cal/predictions")
+        "recordings.label_tables:read_table", "cal/predictions.parquet", golden("cal/predictions")
     ),
     "table of labels": simple("recordings.label_tables:read_labels", "labels.csv", text("labels.csv", CSV)),
     "label file": simple("recordings.exchange.label_files:read_label_file", "a.json", text("a.json", ROWS)),
@@ -386,7 +386,7 @@ FEEDS: dict[str, Feed] = {
         text("a.json", '{"latency_ms": 20.0, "standard_uncertainty_ms": 1.0, "valid": true, "why": ""}'),
     ),
     "saliency map": simple(
-        "calibration.confounds.deciding_pixels:DecidingPixels.kept", "a.npz",
+        "calibration.confounds.skin_region:DecidingPixels.kept", "a.npz",
         data("a.npz", lambda: npz_bytes(increase=np.ones((4, 5)), rows=np.array(3))),
     ),
     "calibration record": Feed(golden("tip.npz"), "tip.npz", record_read),
@@ -394,9 +394,9 @@ FEEDS: dict[str, Feed] = {
         lambda folder: np.save(folder / "a.npy", np.ones((4, 2))), "a.npy",
         call("calibration.fold_fits:_read_fold", (4, 2), at="a.npy"),
     ),
-    "palm unit": simple("sensors.palm.copies.palm_copy_store:read_copy", "a.json", text("a.json", "{}")),
+    "palm unit": simple("sensors.palm.copies.palm_copy_fit:read_copy", "a.json", text("a.json", "{}")),
     "palm picture": simple(
-        "sensors.palm.copies.palm_copy_store:read_picture", "a.png", data("a.png", lambda: picture(".png"))
+        "sensors.palm.copies.palm_copy_fit:read_picture", "a.png", data("a.png", lambda: picture(".png"))
     ),
     "tap image": simple("sensors.tactip.taps.tap_pins:read_image", "frame.png", tap_images),
     "tap table": Feed(
@@ -404,10 +404,10 @@ FEEDS: dict[str, Feed] = {
     ),
     "tip reader": Feed(
         text("reader.json", '{"format": "palpate tip reader 1"}'), "reader.json",
-        call("sensors.tactip.taps.tip_reader_file:load_reader"),
+        call("sensors.tactip.taps.tip_reader:load_reader"),
     ),
     "tip unit": simple(
-        "sensors.tactip.tip_copies.tip_copy_store:load_tip_copy", "a.json", text("a.json", "{}")
+        "sensors.tactip.tip_copies.tip_copy:load_tip_copy", "a.json", text("a.json", "{}")
     ),
 }  # fmt: skip
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from palpate.calibration.compliance.compliance_calibration import ReferenceSpecimen, ReferenceTrial
 from palpate.estimators.compliance.pin_press import UNTOUCHED_N, PinPress, follow_press
-from palpate.estimators.compliance.press_force import (
+from palpate.estimators.compliance.stiffness_curve import (
     CONTACT_N,
     loading,
     moving_average,
@@ -16,8 +16,7 @@ from palpate.estimators.compliance.press_force import (
     without_spikes,
 )
 from palpate.sensors.tactip import TacTipSpec
-from palpate.workflows.tactip_specimens import stiffness_of
-from palpate.workflows.tactip_trials import VirtualPress, record_press
+from palpate.workflows.tactip_trials import VirtualPress, record_press, stiffness_of
 
 KAPPA_N_M = {"rigid": float("inf"), "S1": 7.6e3, "S2": 3.1e3, "S3": 1.1e3, "new": 5.3e3}
 REFERENCES = ("rigid", "S1", "S2", "S3")

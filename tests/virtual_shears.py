@@ -8,8 +8,7 @@ from functools import lru_cache
 import numpy as np
 
 import palpate
-from palpate.calibration.shear.labelled_cues import LabelledCues
-from palpate.calibration.shear.touch_cues import CueMeter
+from palpate.calibration.shear.touch_cues import CueMeter, LabelledCues
 from palpate.core import Pose, PressHistory
 from palpate.estimators.lattice import ControlPoints
 

@@ -28,8 +28,7 @@ import numpy as np
 from palpate.core import ImageError, Pose
 from palpate.estimators.unit_fit import GRAVITY_M_S2
 from palpate.sensors.palm.copies.palm_copy import AS_SAID, LOCAL, PalmCopy, PicturedPress, designed_copy
-from palpate.sensors.palm.copies.palm_copy_fit import fit_copy, read_press
-from palpate.sensors.palm.copies.palm_weight import check_weight
+from palpate.sensors.palm.copies.palm_copy_fit import check_weight, fit_copy, read_press
 from palpate.sensors.palm.palm_press import press, press_to_force
 from palpate.sensors.palm.palm_render import render
 from palpate.sensors.palm.palm_spec import PalmSpec, palm, scaled_down

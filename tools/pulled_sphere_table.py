@@ -28,7 +28,7 @@ from finite_strain.pulled import Increment, Pull
 from finite_strain.recover import Deformed, Grid, deformed, edge, tensor_order
 
 from palpate.mechanics.axisymmetric.pulled_sphere import FULL, mindlin_stiffness, radii_of, shares_down
-from palpate.mechanics.axisymmetric.sphere_table import SphereTable
+from palpate.mechanics.axisymmetric.shape_table import SphereTable
 
 OUT = Path(__file__).parent.parent / "src/palpate/mechanics/tables/pulled_sphere.npz"
 THICKNESSES = (1.8, 2.0, 2.2, 2.5, 4.0)

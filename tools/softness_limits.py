@@ -34,7 +34,6 @@ from palpate.core import InputError, Reading
 from palpate.estimators.compliance.pin_press import PinPress, follow_press
 from palpate.sensors.tactip import TacTipSpec, fitted_tactip
 from palpate.sensors.tactip.tactip_press import modulus_pa
-from palpate.workflows.tactip_specimens import stiffness_of
 from palpate.workflows.tactip_trials import (
     REPORT_N_M,
     UNKNOWN,
@@ -42,6 +41,7 @@ from palpate.workflows.tactip_trials import (
     record_press,
     record_trials,
     specimens_at,
+    stiffness_of,
 )
 
 SEEDS = 20

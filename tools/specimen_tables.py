@@ -155,7 +155,7 @@ def small_loads() -> dict[str, dict[str, float]]:
 
     With a contact twenty-five times as stiff as elsewhere: it sinks by what is much to such small depths.
     """
-    from palpate.mechanics.half_space.hertz_pairs import Body
+    from palpate.mechanics.half_space.hertz import Body
     from palpate.mechanics.layers.bonded_layer import sphere_from_radius
 
     meeting.STIFFNESS = 25 * 2.0

@@ -31,8 +31,7 @@ from finite_strain.tip import Specimen, Tip, TipPress
 
 from palpate.core import PalpateError
 from palpate.estimators.unit_fit import GRAVITY_M_S2
-from palpate.mechanics.axisymmetric.tip_family import TipBetween, tip_between
-from palpate.mechanics.axisymmetric.tip_table import HeadOnPress
+from palpate.mechanics.axisymmetric.tip_table import HeadOnPress, TipBetween, tip_between
 from palpate.sensors.tactip import tactip
 from palpate.sensors.tactip.tip_copies import (
     PlatePress,
@@ -42,8 +41,8 @@ from palpate.sensors.tactip.tip_copies import (
     pins_between,
     read_plate_press,
 )
+from palpate.sensors.tactip.tip_copies.tip_copy_fit import check_tip_weight
 from palpate.sensors.tactip.tip_copies.tip_variation import VirtualTip, drawn_tip
-from palpate.sensors.tactip.tip_copies.tip_weight import check_tip_weight
 
 RATIOS = np.exp(np.random.default_rng(77).uniform(np.log(12), np.log(56), 16))
 FORCE_N = (0.4, 4.8)

@@ -27,8 +27,7 @@ import numpy as np
 import tifffile
 from scipy import ndimage
 
-from palpate.estimators.flow.flow_sequence import along, dis
-from palpate.estimators.flow.horn_schunck import HornSchunck, divergence, flow
+from palpate.estimators.flow.horn_schunck import HornSchunck, along, dis, divergence, flow
 from palpate.recordings.exchange.frame_sequences import TiffFrames
 
 ROUNDS, SLOW_PAIRS = 5, 3

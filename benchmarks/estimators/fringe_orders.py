@@ -34,11 +34,11 @@ from palpate.estimators.fringe_map import (
     order_from_phases,
     table_of,
 )
-from palpate.mechanics.disc_stress import disc_difference
+from palpate.mechanics.probe_contact import disc_difference
 from palpate.optics import assumed_camera, electrons, encode_srgb
 from palpate.optics.colour import linear_light
 from palpate.optics.polariscope import linear_retarder, mueller
-from palpate.reports.fringe_figures import draw_orders
+from palpate.reports.field_figures import draw_orders
 
 SIZE = 480, 640
 WELL, READ_E, LEAK, FULL = 12_000, 8.0, 0.005, 0.9

@@ -18,11 +18,10 @@ import numpy as np
 from scipy import fft, linalg, signal
 from scipy.sparse.linalg import LinearOperator, cg
 
-from palpate.mechanics.layers import indenters
+from palpate.mechanics.layers import contact_solver
 from palpate.mechanics.layers.contact_solver import press_stack
-from palpate.mechanics.layers.influence import normal_influence, normal_preconditioner
+from palpate.mechanics.layers.influence import cells, normal_influence, normal_preconditioner
 from palpate.mechanics.layers.stack import ElasticLayer, Stack
-from palpate.mechanics.layers.surface_grid import cells
 
 RADIUS_M, DEPTH_M, HALF_WIDTH_M = 5e-3, 1e-3, 3e-3
 LAYER = Stack((ElasticLayer(10e-3, 0.3e6, 0.49),))
@@ -45,7 +44,7 @@ class Problem:
 
     @property
     def gap_m(self) -> np.ndarray:
-        return indenters.sphere(self.x_m, self.x_m, RADIUS_M)
+        return contact_solver.sphere(self.x_m, self.x_m, RADIUS_M)
 
     def offsets(self) -> np.ndarray:
         """Sinking at each offset, from -(n - 1) to n - 1 along both axes."""

@@ -26,7 +26,7 @@ from palpate.core import (
     ndarray,
 )
 from palpate.core.sensor import contract_faults, force_law, frame_faults, untouched
-from palpate.devices.check.check_result import CheckResult, at_most, describe, judge, refusal, verdict
+from palpate.devices.check.interface_check import CheckResult, at_most, describe, judge, refusal, verdict
 from palpate.rig.plans.plan_files import plan_from
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from tests.refusals import refused
 
 from palpate.calibration import CalibrationPlan, adapt, calibrate, evaluate
 from palpate.calibration.certificate import read_predictions
-from palpate.calibration.coverage.circular_scores import (
+from palpate.calibration.coverage.range_scores import (
     calibrated_arc,
     refuse_no_angles,
     uninformative_width,

@@ -10,13 +10,16 @@ import pytest
 from tests.refusals import refused
 
 from palpate.calibration import CalibrationPlan, ReferenceRule, adapt, calibrate, evaluate
-from palpate.calibration.classes import ClassAnswers, class_findings, class_labels, class_score
-from palpate.calibration.classes.prediction_sets import (
+from palpate.calibration.classes import (
+    ClassAnswers,
+    class_findings,
+    class_labels,
+    class_score,
     fit_thresholds,
     members_without_own_group,
 )
 from palpate.core import ClassReading, InputError, LabelError, ManualClock, SplitError
-from palpate.core.refusal import NONE, ReasonCode, Refusal
+from palpate.core.reading import NONE, ReasonCode, Refusal
 from palpate.estimators import Estimator, read_card
 from palpate.estimators.class_sets import class_readings, members_of
 from palpate.recordings import Manifest, Run, RunWriter

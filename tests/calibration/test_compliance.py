@@ -12,10 +12,9 @@ from palpate.calibration.compliance.compliance_calibration import (
     calibrate_compliance,
 )
 from palpate.calibration.compliance.compliance_reading import read_touch
-from palpate.calibration.compliance.cue_agreement import CueMisfit
-from palpate.calibration.compliance.press_verdict import drift_of, press_reasons
+from palpate.calibration.compliance.press_verdict import CueMisfit, drift_of, press_reasons
 from palpate.core.errors import CertificateError, ExistsError, InputError, RangeError, StorageError
-from palpate.core.refusal import ReasonCode
+from palpate.core.reading import ReasonCode
 from palpate.sensors.tactip import tactip
 from palpate.sensors.tactip.tactip_press import modulus_pa
 from palpate.sensors.tactip.tactip_sensor import TacTip

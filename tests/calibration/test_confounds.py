@@ -21,23 +21,28 @@ from typer.testing import CliRunner
 
 from palpate.calibration import CalibrationPlan, calibrate
 from palpate.calibration.confounds.confound_audit import TargetEvidence, target_confounds
-from palpate.calibration.confounds.deciding_pixels import (
-    BLOCKS,
-    deciding_pixels,
-    mean_input,
-)
-from palpate.calibration.confounds.kernel_regression import Kernels, explained_share, interleaved_blocks
-from palpate.calibration.confounds.outside_control import outside_control
-from palpate.calibration.confounds.recorded_units import RecordedUnits
 from palpate.calibration.confounds.row_order import (
     OrderCheck,
+    RecordedUnits,
     extrapolates,
     label_gap,
     order_checks,
     shift_check,
 )
-from palpate.calibration.confounds.skin_region import boxed, find_skin
-from palpate.calibration.confounds.target_functions import target_functions
+from palpate.calibration.confounds.skin_region import (
+    BLOCKS,
+    boxed,
+    deciding_pixels,
+    find_skin,
+    mean_input,
+    outside_control,
+)
+from palpate.calibration.confounds.target_functions import (
+    Kernels,
+    explained_share,
+    interleaved_blocks,
+    target_functions,
+)
 from palpate.calibration.near_copies import find_near_copies
 from palpate.cli import app
 from palpate.core import ManualClock

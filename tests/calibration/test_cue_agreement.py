@@ -7,14 +7,14 @@ import pytest
 from tests.virtual_presses import ideal
 
 from palpate.calibration.compliance.compliance_reading import read_touch
-from palpate.calibration.compliance.cue_agreement import (
+from palpate.calibration.compliance.press_cues import reading_record
+from palpate.calibration.compliance.press_verdict import (
     MAX_APPROACH,
     MAX_PINS,
     cue_misfit,
     greatest_misfit,
 )
-from palpate.calibration.compliance.press_cues import reading_record
-from palpate.core.refusal import ReasonCode
+from palpate.core.reading import ReasonCode
 from palpate.workflows.tactip_trials import record_press, specimens_at
 
 ALWAYS = "radius"  # invalid for every press of a tip that is no Hertz body

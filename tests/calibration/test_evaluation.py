@@ -8,10 +8,9 @@ from sklearn import metrics
 from tests.refusals import refused
 
 from palpate.calibration import CalibrationPlan, adapt, calibrate, evaluate
-from palpate.calibration.coverage.counted_groups import held_out_groups
-from palpate.calibration.coverage.grouped_rates import coverage_interval
+from palpate.calibration.coverage.grouped_rates import coverage_interval, held_out_groups
 from palpate.calibration.evaluation import learnt_frames, same_session, score, shifted_labels
-from palpate.calibration.learnt_frames import repeated_presses
+from palpate.calibration.near_copies import repeated_presses
 from palpate.calibration.sessions import keep_evaluation, read_evaluations, reset_intervals
 from palpate.core import CertificateError, InputError
 from palpate.estimators import Estimator

@@ -14,8 +14,8 @@ from palpate.core import ExistsError, InputError, LabelError, SplitError
 from palpate.estimators import Estimator, read_card
 from palpate.estimators.networks.pca_ridge import MeanBaseline
 from palpate.recordings import Split, pack, split
+from palpate.recordings.label_tables import read_table
 from palpate.recordings.preparation import Preparation
-from palpate.recordings.table_files import read_table
 
 pytestmark = pytest.mark.usefixtures("changes_untried")
 

@@ -9,11 +9,11 @@ import pytest
 
 from palpate.calibration import CalibrationPlan, adapt, calibrate, evaluate
 from palpate.calibration.sessions import keep_evaluation, reset_intervals
-from palpate.calibration.sessions.evaluation_record import read_evaluation
+from palpate.calibration.sessions.session_findings import read_evaluation
 from palpate.estimators import Estimator, read_card
 from palpate.recordings import Run, RunWriter
 from palpate.recordings.joined_runs import joined
-from palpate.recordings.reference_instruments import ReferenceInstrument
+from palpate.recordings.manifest import ReferenceInstrument
 from palpate.reports.terminal_text import instrument_lines
 
 pytestmark = pytest.mark.usefixtures("changes_untried")

@@ -9,10 +9,9 @@ import pytest
 from tests.refusals import refused
 
 from palpate.calibration import CalibrationPlan, calibrate, evaluate
-from palpate.calibration.coverage.conformal import fit_intervals
-from palpate.calibration.coverage.joint_regions import vector_cards
+from palpate.calibration.coverage.conformal import fit_intervals, vector_cards
 from palpate.core import InputError, VectorReading
-from palpate.core.refusal import ReasonCode, Refusal
+from palpate.core.reading import ReasonCode, Refusal
 from palpate.estimators import Estimator, read_card
 from palpate.estimators.intervals import component_names, mahalanobis
 

@@ -10,7 +10,7 @@ from palpate.calibration.evaluation import predictions
 from palpate.core import LabelError, ManualClock
 from palpate.estimators import Estimator
 from palpate.recordings import Manifest, Run, RunWriter
-from palpate.recordings.table_files import read_table
+from palpate.recordings.label_tables import read_table
 from palpate.reports import write_report
 
 pytestmark = pytest.mark.usefixtures("changes_untried")

@@ -26,7 +26,7 @@ from palpate.estimators import Estimator, read_card
 from palpate.estimators.networks import Kind
 from palpate.estimators.networks.onnx_graph import image_to_value
 from palpate.recordings import Split, split
-from palpate.recordings.table_files import read_table
+from palpate.recordings.label_tables import read_table
 
 HERE = __name__
 TINY = {"shape": (1, 12, 16)}

@@ -13,7 +13,7 @@ from palpate.calibration.robustness.perturbation_suite import (
 )
 from palpate.calibration.robustness.perturbations import KINDS, perturbed
 from palpate.estimators import Estimator
-from palpate.estimators.target_layout import TargetLayout
+from palpate.estimators.class_sets import TargetLayout
 
 PLAN = CalibrationPlan(("x_mm", "height_mm"), "pca-ridge", split="group:press", size_px=(24, 32))
 

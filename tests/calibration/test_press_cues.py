@@ -6,8 +6,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from palpate.calibration.compliance.press_cues import cues_of
+from palpate.calibration.compliance.reference_stiffness import series_line
 from palpate.calibration.compliance.specimen_comparison import cue_tests
-from palpate.calibration.compliance.specimen_stiffness import series_line
 from palpate.recordings.exchange.press_table import PressTable
 from palpate.sensors.tactip import tactip
 from palpate.workflows.tactip_trials import VirtualPress, record_press

@@ -9,12 +9,11 @@ from tests.virtual_presses import ideal
 
 from palpate.calibration.compliance.compliance_calibration import rate_by_areas
 from palpate.calibration.compliance.compliance_reading import read_touch
-from palpate.calibration.compliance.cue_agreement import CueMisfit
 from palpate.calibration.compliance.press_nuisances import NONE, Nuisances
-from palpate.calibration.compliance.press_verdict import press_reasons
+from palpate.calibration.compliance.press_verdict import CueMisfit, press_reasons
 from palpate.core.errors import InputError, RangeError
 from palpate.estimators.compliance.pin_press import fit_seat
-from palpate.estimators.compliance.rate_calibration import fit_rate
+from palpate.estimators.compliance.spread_rate import fit_rate
 from palpate.workflows.tactip_trials import record_press
 
 SEED = 70_000

@@ -7,8 +7,12 @@ import pytest
 from scipy.stats import binom, norm
 
 from palpate.calibration.certificate import interval_fields
-from palpate.calibration.coverage.conformal import conformal_quantile, fit_intervals, pooled_quantile
-from palpate.calibration.coverage.range_fit import grouped_quantile
+from palpate.calibration.coverage.conformal import (
+    conformal_quantile,
+    fit_intervals,
+    grouped_quantile,
+    pooled_quantile,
+)
 from palpate.calibration.coverage.range_scores import (
     chance_of_so_few,
     failing,

@@ -8,8 +8,7 @@ import pytest
 
 from palpate.calibration.calibration_job import presses_of, recordings_of
 from palpate.calibration.confounds.confound_audit import order_not_tested
-from palpate.calibration.confounds.recorded_units import recorded_units
-from palpate.calibration.confounds.row_order import OrderCheck, order_checks
+from palpate.calibration.confounds.row_order import OrderCheck, order_checks, recorded_units
 from palpate.estimators.findings import FindingCode
 from palpate.recordings.splits import split
 

@@ -9,7 +9,7 @@ from palpate.calibration.coverage.conformal import fit_intervals
 from palpate.core import InputError
 from palpate.estimators.model_card import InstrumentCard, TargetCard
 from palpate.estimators.reference_uncertainty import reference_half_width, with_reference, without_reference
-from palpate.recordings.reference_instruments import read_instruments
+from palpate.recordings.manifest import read_instruments
 
 
 def measured_by(half: float) -> TargetCard:

@@ -10,38 +10,35 @@ from scipy.stats import beta, norm
 from tests.refusals import refused
 
 from palpate.calibration import CalibrationPlan, calibrate, evaluate
-from palpate.calibration.coverage.conformal import conformal_quantile, fit_intervals
+from palpate.calibration.coverage.conformal import conformal_quantile, fit_intervals, vector_cards
 from palpate.calibration.coverage.grouped_rates import (
     is_distribution_free,
     new_group_quantile,
     rank_of_new_group,
     weighted_quantile,
 )
-from palpate.calibration.coverage.joint_regions import vector_cards
 from palpate.calibration.robustness import perturbation_suite
 from palpate.calibration.sessions import keep_evaluation, read_evaluations, reset_intervals
 from palpate.calibration.sessions.interval_reset import (
     ExpectedCoverage,
-    _half_turns_at_most,
-    intervals_set_anew,
-    radius_set_anew,
-)
-from palpate.calibration.sessions.session_intervals import (
     SessionSpread,
+    _half_turns_at_most,
     few_sessions_factor,
     intervals_of_sessions,
+    intervals_set_anew,
     parametric_quantile,
+    radius_set_anew,
 )
 from palpate.cli.calibrate.calibrate_verbs import _reset_text
 from palpate.core import CertificateError, ExistsError, InputError, SplitError
 from palpate.core.files import sha256_of
 from palpate.estimators import Estimator, read_card
+from palpate.estimators.class_sets import TargetLayout
 from palpate.estimators.findings import FindingCode
 from palpate.estimators.guard import NoveltyDetector
 from palpate.estimators.intervals import intervals_of, mahalanobis
-from palpate.estimators.target_layout import TargetLayout
 from palpate.recordings import Run
-from palpate.recordings.table_files import read_table
+from palpate.recordings.label_tables import read_table
 
 pytestmark = pytest.mark.usefixtures("changes_untried")
 MIN_ROWS = perturbation_suite.MIN_ROWS

@@ -11,7 +11,7 @@ from palpate.calibration.stress_optic_fit import Disc, StatedErrors, Strip, fit_
 from palpate.core.errors import ImageError, InputError, LabelError, RangeError, UnitError
 from palpate.estimators.fringe_light import one_line, white_led
 from palpate.estimators.fringe_order import fit_orders
-from palpate.mechanics.disc_stress import disc_difference
+from palpate.mechanics.probe_contact import disc_difference
 from palpate.optics import StressOpticLaw, encode_srgb, spectral_to_linear
 
 LOADS_N = np.array([0.0, 40.0, 90.0, 130.0, 150.0, 200.0, 260.0, 300.0, 340.0])

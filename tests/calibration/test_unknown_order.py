@@ -8,7 +8,7 @@ from tests.conftest import spots
 
 from palpate.calibration import CalibrationPlan, calibrate
 from palpate.calibration.confounds.confound_audit import order_not_tested
-from palpate.calibration.confounds.recorded_units import recorded_units
+from palpate.calibration.confounds.row_order import recorded_units
 from palpate.calibration.sessions.session_findings import label_findings
 from palpate.estimators.certified import read_card
 from palpate.estimators.findings import FindingCode

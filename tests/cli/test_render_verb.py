@@ -11,7 +11,7 @@ from palpate.core import Pose
 from palpate.recordings.exchange import image_files
 from palpate.sensors import palm
 from palpate.sensors.palm import fringe_rays
-from palpate.sensors.palm.membrane_wear import Wear, worn
+from palpate.sensors.palm.membrane_faults import Wear, worn
 
 FACTS = {
     "force_N",

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from typer.testing import CliRunner
 
 from palpate.cli import app
-from palpate.mechanics.half_space.hertz_pairs import Body
+from palpate.mechanics.half_space.hertz import Body
 
 MODULI = ("--moduli-kpa", "800,500,300,150,100")
 WORDS = ("pairs", "specimens", *MODULI, "--finger", "100:15")

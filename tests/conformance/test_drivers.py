@@ -12,8 +12,8 @@ from tests.rig.serial_terminal import FakeTerminal
 
 from palpate.core import MonotonicClock
 from palpate.devices.check.camera_check import check_camera
-from palpate.devices.check.check_result import CheckResult
 from palpate.devices.check.force_check import check_force_sensor
+from palpate.devices.check.interface_check import CheckResult
 from palpate.devices.check.stage_check import check_stage
 from palpate.rig.real.grbl.grbl_stage import GrblStage
 from palpate.rig.real.grbl.grbl_supervisor import GrblSpec

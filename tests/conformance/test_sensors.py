@@ -11,10 +11,9 @@ from tests.refusals import refused
 from tests.slow_params import mostly_slow
 
 from palpate.check import LAWS, SAME_SCALE, check_sensor, image_axes, image_scale
-from palpate.core.contact import Contact, Pose
+from palpate.core.contact import Contact, Outline, Pose
 from palpate.core.errors import InputError, RangeError
 from palpate.core.frame import Frame
-from palpate.core.outline import Outline
 from palpate.core.sensor import SENSORS, ImageAxes, Sensor, contract_faults, for_rig, sensor
 from palpate.rig.virtual import virtual_rig
 from palpate.sensors import palm

@@ -12,8 +12,8 @@ from tests.refusals import refused
 from palpate.core import DeviceError, ManualClock, Position, RangeError, Travel, Wrench
 from palpate.core.frame import Frame
 from palpate.devices.check.camera_check import check_camera
-from palpate.devices.check.check_result import CheckResult
 from palpate.devices.check.force_check import check_force_sensor
+from palpate.devices.check.interface_check import CheckResult
 from palpate.devices.check.stage_check import check_stage
 from palpate.devices.check.stage_motion import Box
 from palpate.rig.rig import Rig

@@ -111,7 +111,7 @@ def test_a_process_that_fails_ends_with_its_own_status() -> None:
 COMMAND = """
 import sys
 sys.argv[1:] = {words!r}
-import palpate.cli.sense.machine_verbs as verbs
+import palpate.cli.sense.preset_verbs as verbs
 import palpate.cli.command_tree
 def doctor(json: bool = False) -> None:
     raise {error}
@@ -153,7 +153,7 @@ def test_ctrl_c_while_a_command_loads_ends_in_one_line_and_130() -> None:
 
 def test_a_library_s_log_of_an_exception_is_one_line() -> None:
     pytest.importorskip("nicegui", reason="the page server needs NiceGUI")
-    from palpate.studio.page_failures import FailureFilter
+    from palpate.studio.page_shell import FailureFilter
 
     record = logging.LogRecord("uvicorn.error", logging.ERROR, "f", 1, "ASGI %s", ("x",), None)
     error = raised(ValueError("in a page"))

@@ -8,11 +8,11 @@ import sys
 import numpy as np
 import pytest
 
-from palpate.devices.process_memory import give_back_memory
+from palpate.devices.long_running import give_back_memory
 
 LAWS = """
 import gc, weakref
-from palpate.devices.process_memory import keep_loaded, loaded_kept
+from palpate.devices.long_running import keep_loaded, loaded_kept
 
 
 class Ring:

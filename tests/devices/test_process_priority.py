@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from palpate.devices.supervisor.process_priority import (
+from palpate.devices.supervisor.owning_process import (
     FIFO,
     NICE,
     NORMAL,
@@ -15,7 +15,7 @@ from palpate.devices.supervisor.process_priority import (
     probe_realtime,
     request_priority,
 )
-from palpate.devices.supervisor.supervisor_link import SupervisorLink
+from palpate.devices.supervisor.supervised_guard import SupervisorLink
 from palpate.rig.rig_check import scheduling_result
 
 
@@ -89,7 +89,7 @@ def test_a_rig_without_real_time_scheduling_passes_its_check_with_a_note() -> No
 OWNER = """
 import sys
 from palpate.devices.supervisor import owning_process
-from palpate.devices.supervisor.process_priority import request_priority
+from palpate.devices.supervisor.owning_process import request_priority
 
 class Owner:
     def __init__(self, sends): ...

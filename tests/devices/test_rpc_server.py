@@ -16,9 +16,16 @@ import numpy as np
 import pytest
 
 from palpate.core import DeviceError
-from palpate.devices import rpc_admission
-from palpate.devices.rpc import Address, decode_message, encode_message, publish, running
-from palpate.devices.rpc_admission import MAX_TOKEN_BYTES, MAX_UNAUTHENTICATED
+from palpate.devices import rpc
+from palpate.devices.rpc import (
+    MAX_TOKEN_BYTES,
+    MAX_UNAUTHENTICATED,
+    Address,
+    decode_message,
+    encode_message,
+    publish,
+    running,
+)
 from palpate.devices.rpc_client import RpcClient
 from palpate.devices.rpc_server import ANSWERED_S, MAX_CLIENTS, RpcServer
 
@@ -165,7 +172,7 @@ def test_clients_keep_coming_through_while_silent_sockets_keep_coming(tmp_path) 
 
 def test_a_silent_socket_has_no_thread_and_no_slot_and_ends_at_its_deadline(monkeypatch) -> None:
     auth_s = 0.5
-    monkeypatch.setattr(rpc_admission, "AUTH_S", auth_s)
+    monkeypatch.setattr(rpc, "AUTH_S", auth_s)
     server = RpcServer("one", status, lambda after: None, {}, {})
     with closing(server):
         threads = threading.active_count()

@@ -12,7 +12,7 @@ import palpate
 from palpate.core import Frame, Pose
 from palpate.estimators.lattice import ControlPoints
 from palpate.estimators.shear import ShearReader
-from palpate.estimators.shear.camera_motion import camera_motion
+from palpate.estimators.shear.touch_places import camera_motion
 from palpate.estimators.surface_strain import StrainMeter
 
 SENSOR = palpate.sensor("nusense")

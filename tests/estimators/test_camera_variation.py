@@ -5,7 +5,7 @@ import pytest
 
 from palpate.core import InputError
 from palpate.estimators.networks import make_model
-from palpate.estimators.networks.camera_variation import CameraVariation, with_outlines_moved
+from palpate.estimators.networks.augmentation import CameraVariation, with_outlines_moved
 
 NOTHING = {
     "shift_px": 0.0, "turn_deg": 0.0, "zoom_percent": 0.0, "blur_px": 0.0, "width_px": 0.0,

@@ -10,7 +10,7 @@ from tests.refusals import refused
 
 from palpate.core import CertificateError, Frame, ImageError
 from palpate.core.files import sha256_of
-from palpate.core.refusal import ReasonCode
+from palpate.core.reading import ReasonCode
 from palpate.estimators import Estimator, read_card
 from palpate.estimators.card_ground import card_id
 

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from palpate.estimators.flow.flow_sequence import contact_region, course
+from palpate.estimators.flow.horn_schunck import contact_region, course
 
 GROWTH = 0.004  # of every length, a frame: the divergence is twice that
 RADIUS_PX, SIZE = 70, 240

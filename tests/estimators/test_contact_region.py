@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 from tests.refusals import refused
 
 from palpate.core.errors import InputError, RangeError
-from palpate.estimators.compliance.contact_region import (
+from palpate.estimators.compliance.contact_area import (
     Field,
     RigidPlateStretch,
     cell_growth,

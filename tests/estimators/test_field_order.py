@@ -7,7 +7,7 @@ from tests.refusals import refused
 from palpate.core.errors import InputError, RangeError
 from palpate.estimators.field_order import fit_field
 from palpate.estimators.fringe_light import one_line, white_led
-from palpate.mechanics.disc_stress import disc_difference
+from palpate.mechanics.probe_contact import disc_difference
 
 LOADS = np.array([0.0, 40.0, 90.0, 130.0, 150.0, 200.0, 260.0, 300.0, 340.0])
 GRID = np.linspace(-0.9, 0.9, 21)

@@ -11,13 +11,15 @@ from tests.oracles.plain_flow import derivatives, divergence as plain_divergence
 from tests.refusals import refused
 
 from palpate.core.errors import ImageError, InputError, RangeError
-from palpate.estimators.flow.flow_sequence import along, dis, farneback
 from palpate.estimators.flow.horn_schunck import (
     CoarseToFine,
     HornSchunck,
+    along,
     brightness,
     coarse_to_fine,
+    dis,
     divergence,
+    farneback,
     flow,
 )
 from palpate.recordings.exchange.frame_sequences import TiffFrames

@@ -5,7 +5,7 @@ from numpy.testing import assert_allclose
 from tests.refusals import refused
 
 from palpate.core.errors import InputError
-from palpate.estimators.compliance.press_force import Loading, fresh, loading_slope
+from palpate.estimators.compliance.stiffness_curve import Loading, fresh, loading_slope
 
 WIDTH = 0.05 - np.linspace(0, 0.012, 49)
 FORCE = 1800.0 * (0.05 - WIDTH)

@@ -15,7 +15,7 @@ from palpate.estimators.compliance.hertz_inversion import (
     invert_hertz,
 )
 from palpate.mechanics.axisymmetric.tip_table import HeadOnPress, shipped_tips, tip_table
-from palpate.mechanics.half_space.hertz_pairs import Body, alike_to_the_arm, alike_to_the_skin
+from palpate.mechanics.half_space.hertz import Body, alike_to_the_arm, alike_to_the_skin
 
 FINGER = Body(1e5, 15e-3)
 A = Body(1e6, 2.5e-3)

@@ -10,8 +10,13 @@ from sklearn.model_selection import GroupKFold
 from palpate.core import InputError
 from palpate.estimators.networks import TrainingData, make_model
 from palpate.estimators.networks.kernel.image_features import PinMoments, pin_moments
-from palpate.estimators.networks.kernel.kernel_ridge import KernelRidge
-from palpate.estimators.networks.kernel.matern_kernel import Kernel, KernelShape, learnt_metric, solve
+from palpate.estimators.networks.kernel.kernel_ridge import (
+    Kernel,
+    KernelRidge,
+    KernelShape,
+    learnt_metric,
+    solve,
+)
 from palpate.estimators.networks.model_interface import predict_rows
 
 SIDE = 48

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from tests.refusals import refused
 
 from palpate.core.errors import InputError
-from palpate.estimators.compliance.literature_method import AsReported, as_reported, circle_through_pins
+from palpate.estimators.compliance.spread_rate import AsReported, as_reported, circle_through_pins
 from palpate.estimators.pins import find_pins
 from palpate.sensors.tactip import tactip
 from palpate.workflows.tactip_trials import record_press

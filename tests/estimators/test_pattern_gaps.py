@@ -7,7 +7,7 @@ import pytest
 import palpate
 from palpate.core import Pose
 from palpate.core.sensor import for_live
-from palpate.estimators.brightest_channel import brightest_channel
+from palpate.estimators.fringe_light import brightest_channel
 from palpate.estimators.lattice import find_checkerboard
 from palpate.estimators.shear.skin_marks import AROUND, DARK, MIN_GAP, SMOOTH_PX, TILE_REACH, TileCentres
 

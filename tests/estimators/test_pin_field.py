@@ -7,8 +7,8 @@ from tests.nuisance_pins import layout_cells, layout_places
 from tests.refusals import refused
 
 from palpate.core import InputError
-from palpate.estimators.compliance.literature_method import circle_through_pins
-from palpate.estimators.compliance.pin_field import pin_field
+from palpate.estimators.compliance.contact_area import pin_field
+from palpate.estimators.compliance.spread_rate import circle_through_pins
 
 MIDDLE, PITCH = np.array([150.0, 140.0]), 19.0
 

@@ -20,8 +20,7 @@ from tests.nuisance_pins import (
 )
 
 from palpate.core import ImageError
-from palpate.estimators.lattice.pin_lattice import name_pins
-from palpate.estimators.lattice.ring_layout import ring_of
+from palpate.estimators.lattice.ring_layout import name_pins, ring_of
 from palpate.estimators.pins import find_pins, follow
 
 DRAWN = Nuisances(lamps=6, between=4, over=1, hidden=20, falloff=0.6, blur_px=3.0, barrel=0.06)

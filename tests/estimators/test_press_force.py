@@ -6,7 +6,13 @@ from numpy.testing import assert_allclose
 from tests.refusals import refused
 
 from palpate.core.errors import InputError, RangeError
-from palpate.estimators.compliance.press_force import loading, moving_average, rising, within, without_spikes
+from palpate.estimators.compliance.stiffness_curve import (
+    loading,
+    moving_average,
+    rising,
+    within,
+    without_spikes,
+)
 
 
 def press(rate_hz=200.0, peak_n=5.2, s=2.0) -> np.ndarray:

@@ -2,9 +2,9 @@
 
 import pytest
 
-from palpate.core.refusal import ReasonCode
+from palpate.core.reading import ReasonCode
 from palpate.estimators.model_card import CircularCard, RangeCard, ScoreCard, TargetCard
-from palpate.estimators.reading_rules import doubt, untold
+from palpate.estimators.reference_uncertainty import doubt, untold
 
 OVER = RangeCard(by_truth=None, by_estimate=None, beyond=(0.5, 0.2), reach=(3.0, 2.0), tenths=())
 

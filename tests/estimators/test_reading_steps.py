@@ -11,13 +11,12 @@ import pytest
 from palpate.calibration import CalibrationPlan, calibrate
 from palpate.calibration.calibration_job import ReferenceRule
 from palpate.core import Image, Lens
-from palpate.core.refusal import ReasonCode
+from palpate.core.reading import ReasonCode
 from palpate.estimators import Estimator, read_card
 from palpate.estimators.intervals import intervals_of
 from palpate.estimators.model_card import CellsCard, InstrumentCard, RangeCard, TargetCard, sealed
-from palpate.estimators.reading_rules import doubt
 from palpate.estimators.reading_steps import GREY_ROUNDING, GREY_SHIFT, GREY_WEIGHTS, reading_steps
-from palpate.estimators.reference_uncertainty import with_reference
+from palpate.estimators.reference_uncertainty import doubt, with_reference
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "read-without-palpate.md"
 WITHOUT_PALPATE = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.M | re.S)[0]

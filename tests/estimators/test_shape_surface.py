@@ -5,8 +5,8 @@ import pytest
 from tests.refusals import refused
 
 from palpate.core import InputError
-from palpate.estimators.compliance.shape_surface import fit_shape_surface
-from palpate.mechanics.half_space.hertz_pairs import Body
+from palpate.estimators.compliance.hertz_inversion import fit_shape_surface
+from palpate.mechanics.half_space.hertz import Body
 
 TIP = Body(0.06e6, 20e-3)
 FORCES = np.linspace(1.0, 4.5, 40)

@@ -7,7 +7,7 @@ from tests.refusals import refused
 from palpate.core import InputError, RangeError
 from palpate.estimators.lattice import ControlPoints
 from palpate.estimators.surface_strain import strain_fields
-from palpate.estimators.surface_strain.shear_measure import (
+from palpate.estimators.surface_strain.strain_fields import (
     PUBLISHED_ALPHA,
     PUBLISHED_SAMPLES,
     published_force_n,

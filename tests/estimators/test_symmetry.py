@@ -6,7 +6,7 @@ import pytest
 from tests.refusals import refused
 
 from palpate.core import InputError
-from palpate.estimators.networks.symmetry import RotationalSymmetry, axis_of, in_plane
+from palpate.estimators.networks.augmentation import RotationalSymmetry, axis_of, in_plane
 
 NAMES = ("depth_mm", "shear_x_mm", "shear_y_mm", "twist_deg")
 

@@ -12,7 +12,7 @@ import pytest
 
 from palpate.mechanics import secondary_stress
 from palpate.optics import StressOpticLaw, circular_amplitude, graded_slices, march, plane_amplitude, through
-from palpate.optics.compiled_march import march_spectral
+from palpate.optics.march import march_spectral
 
 mi = pytest.importorskip("mitsuba", reason="Mitsuba is not installed, and only this comparison needs it")
 

@@ -4,7 +4,7 @@ from scipy.stats import kstest, norm
 
 from palpate.core import RangeError
 from palpate.optics import electrons, quantise, uneven_light
-from palpate.optics.table_noise import normal_table, table_draws
+from palpate.optics.image_chain import normal_table, table_draws
 
 N = 200_000
 

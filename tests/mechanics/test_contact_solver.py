@@ -6,7 +6,7 @@ from tests.refusals import refused
 
 from palpate.core import InputError, RangeError
 from palpate.mechanics.half_space import hertz
-from palpate.mechanics.layers import indenters
+from palpate.mechanics.layers import contact_solver
 from palpate.mechanics.layers.contact_solver import press_stack
 from palpate.mechanics.layers.stack import ElasticLayer, Stack
 
@@ -22,13 +22,13 @@ def square(half_width_m, points):
 def ball(stack, depth, half_width_m=4e-3, points=96, **pressing):
     x = square(half_width_m, points)
     pressing = pressing or {"depth_m": depth}
-    return press_stack(stack, indenters.sphere(x, x, R), x, x, **pressing)
+    return press_stack(stack, contact_solver.sphere(x, x, R), x, x, **pressing)
 
 
 @pytest.fixture(scope="module")
 def hertzian():
     x = square(3e-3, 128)
-    return press_stack(HALF_SPACE, indenters.paraboloid(x, x, R), x, x, depth_m=DEPTH)
+    return press_stack(HALF_SPACE, contact_solver.paraboloid(x, x, R), x, x, depth_m=DEPTH)
 
 
 def test_a_paraboloid_on_a_half_space_is_hertzs_contact(hertzian):
@@ -46,7 +46,7 @@ def test_a_paraboloid_on_a_half_space_is_hertzs_contact(hertzian):
 
 
 def test_the_skin_has_the_indenters_shape_where_it_touches_and_lies_below_elsewhere(hertzian):
-    room = hertzian.displacement_m - (DEPTH - indenters.paraboloid(hertzian.x_m, hertzian.y_m, R))
+    room = hertzian.displacement_m - (DEPTH - contact_solver.paraboloid(hertzian.x_m, hertzian.y_m, R))
     assert np.abs(room[hertzian.touching]).max() == pytest.approx(hertzian.misfit_m, rel=1e-6)
     assert hertzian.misfit_m <= 1e-5 * DEPTH
     assert room.min() >= -1e-5 * DEPTH
@@ -64,7 +64,7 @@ def test_a_flat_punch_is_as_stiff_as_its_diameter():
     # the counted disc is a rough circle: its radius is right to half a cell
     a, depth = 2e-3, 1e-4
     x = square(2.5e-3, 201)
-    found = press_stack(HALF_SPACE, indenters.flat_punch(x, x, a), x, x, depth_m=depth)
+    found = press_stack(HALF_SPACE, contact_solver.flat_punch(x, x, a), x, x, depth_m=depth)
     assert found.force_n / (2 * a * E_STAR * depth) == pytest.approx(1.0, abs=0.01)
     assert found.area_m2 == pytest.approx(math.pi * a**2, rel=0.01)
 
@@ -89,8 +89,8 @@ def test_a_sphere_on_a_bonded_layer_agrees_with_an_axisymmetric_solution(thickne
 def test_far_contacts_on_a_bonded_layer_do_not_feel_each_other():
     layer = Stack((ElasticLayer(1e-3, E, NU),))
     x, y = square(8e-3, 192), square(2.5e-3, 60)
-    alone = press_stack(layer, indenters.sphere(x, y, 3e-3, (-5.2e-3, 0.0)), x, y, depth_m=3e-4)
-    pair = indenters.balls(x, y, 3e-3, [(-5.2e-3, 0.0, 0.0), (5.2e-3, 0.0, 0.0)])
+    alone = press_stack(layer, contact_solver.sphere(x, y, 3e-3, (-5.2e-3, 0.0)), x, y, depth_m=3e-4)
+    pair = contact_solver.balls(x, y, 3e-3, [(-5.2e-3, 0.0, 0.0), (5.2e-3, 0.0, 0.0)])
     both = press_stack(layer, pair, x, y, depth_m=3e-4)
     # ten thicknesses apart the motion of one has faded below 1e-3 under the other
     assert both.force_n == pytest.approx(2 * alone.force_n, rel=2e-3)
@@ -124,7 +124,7 @@ def test_a_depth_beyond_the_stack_is_refused():
 
 def test_input_that_is_no_height_field_on_a_grid_is_refused():
     x = square(4e-3, 40)
-    z = indenters.sphere(x, x, R)
+    z = contact_solver.sphere(x, x, R)
     with pytest.raises(InputError, match="exactly one"):
         press_stack(HALF_SPACE, z, x, x)
     with pytest.raises(InputError, match="exactly one"):

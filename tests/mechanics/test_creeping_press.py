@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from palpate.mechanics.axisymmetric.creeping_press import CreepingPress
-from palpate.mechanics.half_space.hertz_pairs import Body
+from palpate.mechanics.axisymmetric.axisymmetric_fem import CreepingPress
+from palpate.mechanics.half_space.hertz import Body
 from palpate.mechanics.viscoelastic import Prony, ting
 
 SKIN = Prony(0.1e6, (0.08e6, 0.05e6), (0.2, 2.0))

@@ -9,7 +9,7 @@ import pytest
 from tests.refusals import refused
 
 from palpate.core.errors import RangeError
-from palpate.mechanics.axisymmetric.sphere_table import (
+from palpate.mechanics.axisymmetric.shape_table import (
     OFF_CENTRE,
     SphereTable,
     edge_correction,

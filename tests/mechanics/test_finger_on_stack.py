@@ -7,11 +7,10 @@ from numpy.testing import assert_allclose
 from tests.refusals import refused
 
 from palpate.core import RangeError
-from palpate.mechanics.half_space.hertz_pairs import Body
+from palpate.mechanics.half_space.hertz import Body
 from palpate.mechanics.layers.bonded_layer import sphere_from_radius
-from palpate.mechanics.layers.contact_solver import press_stack
-from palpate.mechanics.layers.finger_on_stack import press_course, press_to_radius
-from palpate.mechanics.layers.indenters import paraboloid
+from palpate.mechanics.layers.contact_solver import paraboloid, press_stack
+from palpate.mechanics.layers.influence import press_course, press_to_radius
 from palpate.mechanics.layers.stack import ElasticLayer, Stack
 
 FINGER = Body(100e3 / 0.75, 15e-3)

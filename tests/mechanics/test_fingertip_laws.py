@@ -18,7 +18,7 @@ from palpate.mechanics.fingertip_laws import (
     in_series,
     on_flat,
 )
-from palpate.mechanics.half_space.hertz_pairs import Body
+from palpate.mechanics.half_space.hertz import Body
 
 BALL = Body(50e3, 15e-3)
 MODULI = st.floats(1e3, 1e7)

@@ -8,7 +8,7 @@ from hypothesis import given, strategies as st
 from numpy.testing import assert_allclose
 
 from palpate.core.errors import RangeError
-from palpate.mechanics.half_space.hertz_pairs import Body, alike_to_the_arm, alike_to_the_skin
+from palpate.mechanics.half_space.hertz import Body, alike_to_the_arm, alike_to_the_skin
 
 FINGER = Body(1e5, 15e-3)
 A, C = Body(1e6, 2.5e-3), Body(2e5, 30e-3)

@@ -9,8 +9,7 @@ from numpy.testing import assert_allclose
 from tests.refusals import refused
 
 from palpate.core.errors import RangeError
-from palpate.mechanics.axisymmetric.inclined_table import inclined_table
-from palpate.mechanics.axisymmetric.tip_table import FOLDER, tip_table
+from palpate.mechanics.axisymmetric.tip_table import FOLDER, inclined_table, tip_table
 
 FORCES = np.array([1.0, 2.0, 3.0, 4.0, 5.0])
 TABLE = inclined_table("base")

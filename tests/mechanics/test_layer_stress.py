@@ -7,7 +7,7 @@ from scipy.interpolate import RegularGridInterpolator
 from palpate.core import InputError, RangeError
 from palpate.mechanics.layers.layer_stress import stress_under
 from palpate.mechanics.layers.stack import ElasticLayer, Stack
-from palpate.mechanics.layers.stack_field import field_below
+from palpate.mechanics.layers.stack_friction import field_below
 
 H, NU, A = 10e-3, 0.49, 2.2e-3
 X = (np.arange(120) - 59.5) * 1.5e-4

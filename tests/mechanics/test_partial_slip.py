@@ -6,7 +6,7 @@ from scipy.integrate import quad
 from tests.refusals import refused
 
 from palpate.core import RangeError
-from palpate.mechanics.half_space import tangential as slip
+from palpate.mechanics.half_space import hertz as slip
 
 A, P, MU, E = 2e-3, 1.0, 0.8, 0.3e6
 P0 = 1.5 * P / (math.pi * A**2)

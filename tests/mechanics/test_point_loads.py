@@ -5,7 +5,7 @@ import pytest
 from tests.refusals import refused
 
 from palpate.core import RangeError
-from palpate.mechanics.half_space import point_loads as loads
+from palpate.mechanics.half_space import subsurface as loads
 
 LAWS = {"boussinesq": (loads.boussinesq_stress, 2), "cerruti": (loads.cerruti_stress, 0)}
 both = pytest.mark.parametrize("name", LAWS)

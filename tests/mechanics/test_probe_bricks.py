@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from palpate.mechanics.axisymmetric.sphere_table import SphereTable
+from palpate.mechanics.axisymmetric.shape_table import SphereTable
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 probe_press = importlib.import_module("probe_press")

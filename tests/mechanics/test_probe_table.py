@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from palpate.core import Probe, RangeError
-from palpate.mechanics.axisymmetric.sphere_table import SphereTable
+from palpate.mechanics.axisymmetric.shape_table import SphereTable
 from palpate.mechanics.layers.contact_solver import press_stack
 from palpate.mechanics.layers.stack import ElasticLayer, Stack
 from palpate.mechanics.probe_table import probe_table_for, probe_tables

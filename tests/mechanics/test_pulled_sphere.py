@@ -20,8 +20,8 @@ from palpate.mechanics.axisymmetric.pulled_sphere import (
     pulled,
     pulled_sphere_table,
 )
-from palpate.mechanics.axisymmetric.sphere_table import SphereTable, press_finite_strain
-from palpate.mechanics.half_space.tangential import tangential_displacement, tangential_stiffness
+from palpate.mechanics.axisymmetric.shape_table import SphereTable, press_finite_strain
+from palpate.mechanics.half_space.hertz import tangential_displacement, tangential_stiffness
 
 REPOSITORY = Path(__file__).parents[2]
 FOUND = json.loads((REPOSITORY / "tools/dragged_sphere.json").read_text(encoding="utf-8"))

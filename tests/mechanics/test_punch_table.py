@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 from tests.refusals import refused
 
 from palpate.core import InputError, Pose, Probe, RangeError
-from palpate.mechanics.axisymmetric.punch_table import (
+from palpate.mechanics.axisymmetric.shape_table import (
     EDGE,
     PunchTable,
     is_punched,

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from palpate.core import Contact, InputError, Pose, Probe
-from palpate.mechanics.resultant import Resultant, resultant_of
+from palpate.mechanics.probe_contact import Resultant, resultant_of
 
 X = np.linspace(4e-3, 6e-3, 41)
 Y = np.linspace(-4e-3, -2e-3, 41)

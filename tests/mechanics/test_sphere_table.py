@@ -7,7 +7,7 @@ from scipy.interpolate import CubicSpline, RegularGridInterpolator
 from tests.refusals import refused
 
 from palpate.core import InputError, Pose, Probe, RangeError
-from palpate.mechanics.axisymmetric.sphere_table import (
+from palpate.mechanics.axisymmetric.shape_table import (
     SphereTable,
     press_finite_strain,
 )

@@ -6,10 +6,9 @@ from tests.refusals import refused
 
 from palpate.core import InputError, RangeError
 from palpate.mechanics.half_space import hertz
-from palpate.mechanics.layers.influence import normal_influence, tangential_influence
+from palpate.mechanics.layers.influence import cells, normal_influence, tangential_influence
 from palpate.mechanics.layers.stack import ElasticLayer, Stack
-from palpate.mechanics.layers.stack_field import STRESSES, field_below
-from palpate.mechanics.layers.surface_grid import cells
+from palpate.mechanics.layers.stack_friction import STRESSES, field_below
 
 E, A, P0 = 0.3e6, 1e-3, 1e4
 TWO = Stack((ElasticLayer(1.5e-3, 3 * E, 0.3), ElasticLayer(2.5e-3, E, 0.49)))

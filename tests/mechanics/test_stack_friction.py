@@ -6,7 +6,7 @@ from tests.oracles import twisted_sphere
 from tests.refusals import refused
 
 from palpate.core import InputError, RangeError
-from palpate.mechanics.layers import indenters
+from palpate.mechanics.layers import contact_solver
 from palpate.mechanics.layers.contact_solver import press_stack
 from palpate.mechanics.layers.stack import ElasticLayer, Stack
 from palpate.mechanics.layers.stack_friction import shear_stack
@@ -17,7 +17,7 @@ X = np.linspace(-1.2 * A, 1.2 * A, 64)
 
 
 def pressed(stack):
-    return press_stack(stack, indenters.paraboloid(X, X, R), X, X, depth_m=DEPTH)
+    return press_stack(stack, contact_solver.paraboloid(X, X, R), X, X, depth_m=DEPTH)
 
 
 def on_half_space(nu):
@@ -99,7 +99,7 @@ def test_what_cannot_be_sheared_is_refused():
         shear_stack(contact, MU, moment_nm=math.inf)
     with refused("twisting-slip", RangeError):
         shear_stack(contact, MU, moment_nm=1.0)
-    nothing = press_stack(contact.stack, indenters.paraboloid(X, X, R), X, X, depth_m=0.0)
+    nothing = press_stack(contact.stack, contact_solver.paraboloid(X, X, R), X, X, depth_m=0.0)
     with refused("no-normal-force", RangeError):
         shear_stack(nothing, MU, shift_m=(1e-5, 0.0))
 
@@ -109,7 +109,7 @@ def test_what_cannot_be_sheared_is_refused():
 def test_every_pull_below_friction_is_found_under_a_punch_and_under_a_blunt_edge(part, way):
     """Secants through motions that the tolerance does not tell apart lead away; then 0.95 is refused."""
     layer, x = Stack((ElasticLayer(10e-3, E, 0.49),)), np.linspace(-7e-3, 7e-3, 80)
-    punch = indenters.flat_punch(x, x, 4e-3, 0.4e-3)
+    punch = contact_solver.flat_punch(x, x, 4e-3, 0.4e-3)
     edge = np.where(np.abs(x[None, :]) < 6e-3, np.tan(math.radians(30)) * np.abs(x[:, None]), np.inf)
     for gap, depth in ((punch, 0.5e-3), (edge, 0.8e-3)):
         contact = press_stack(layer, gap, x, x, depth_m=depth)

@@ -6,8 +6,13 @@ from tests.refusals import refused
 
 from palpate.core import RangeError
 from palpate.mechanics.half_space.hertz import secondary_stress
-from palpate.mechanics.half_space.point_loads import boussinesq_stress, cerruti_stress
-from palpate.mechanics.half_space.subsurface import centreline_stress, greatest_shear, hertz_stress
+from palpate.mechanics.half_space.subsurface import (
+    boussinesq_stress,
+    centreline_stress,
+    cerruti_stress,
+    greatest_shear,
+    hertz_stress,
+)
 
 A, P0 = 2e-3, 0.1e6
 NUS = (0.0, 0.3, 0.5)

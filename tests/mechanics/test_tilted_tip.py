@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from palpate.mechanics.axisymmetric.tilted_tip import TiltedContact, TiltedPress, tip_modes, top_modes
-from palpate.mechanics.half_space.hertz_pairs import Body
+from palpate.mechanics.half_space.hertz import Body
 
 NU = 0.48
 

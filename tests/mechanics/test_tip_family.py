@@ -12,8 +12,7 @@ from numpy.testing import assert_allclose
 from tests.refusals import refused
 
 from palpate.core import RangeError
-from palpate.mechanics.axisymmetric.tip_family import ratio_range, tip_between
-from palpate.mechanics.axisymmetric.tip_table import shipped_tips, tip_table
+from palpate.mechanics.axisymmetric.tip_table import ratio_range, shipped_tips, tip_between, tip_table
 
 SOLVED = json.loads((Path(__file__).parent / "tips_between_tables.json").read_text())
 """By the solver of `tools/tip_tables.py`, each a minute; in no table."""

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 from palpate.core.errors import InputError, RangeError
 from palpate.mechanics.axisymmetric.tip_table import shipped_tips, tip_table
-from palpate.mechanics.half_space.hertz_pairs import Body
+from palpate.mechanics.half_space.hertz import Body
 
 KAPPA = {"S1": 0.2419e6, "Sn": 0.1687e6, "S2": 0.0987e6, "S3": 0.035e6}
 FORCES = np.array([1.0, 2.0, 3.0, 4.0, 5.0])

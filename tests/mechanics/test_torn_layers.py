@@ -12,17 +12,18 @@ from scipy.sparse.linalg import splu
 from tests.refusals import refused
 
 from palpate.core import InputError
+from palpate.mechanics import torn_layers as cut_opening_module
 from palpate.mechanics.layers.stack import ElasticLayer, Stack, climb
-from palpate.mechanics.torn_layers import cut_opening as cut_opening_module
-from palpate.mechanics.torn_layers.cut_opening import (
+from palpate.mechanics.torn_layers import (
     CutOpening,
+    StripMesh,
+    StripStiffness,
     SurfaceCut,
     cut_opening,
     rest_gap_m,
     strip_mesh,
     wave_response,
 )
-from palpate.mechanics.torn_layers.strip_elements import StripMesh, StripStiffness
 
 NU = 0.499
 LAYERS = ((0.8e-3, 0.66e6), (0.7e-3, 0.66e6), (2.2e-3, 0.2e6), (0.5e-3, 0.66e6), (0.3e-3, 1.8e6))

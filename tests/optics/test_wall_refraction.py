@@ -3,7 +3,7 @@ import pytest
 
 from palpate.core import InputError, RangeError
 from palpate.optics import round_rim
-from palpate.optics.wall_refraction import fresnel
+from palpate.optics.polariscope import fresnel
 
 R, INDEX = 28.5e-3, 1.41
 

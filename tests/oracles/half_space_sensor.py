@@ -19,8 +19,8 @@ from palpate.core.errors import InputError, RangeError
 from palpate.core.frame import Frame
 from palpate.core.shapes import Float, Float32
 from palpate.mechanics.half_space import hertz
-from palpate.optics.camera_response import electrons, quantise, uneven_light
 from palpate.optics.colour import Spectrum, assumed_camera, encode_srgb
+from palpate.optics.image_chain import electrons, quantise, uneven_light
 from palpate.optics.polariscope import with_leak
 from palpate.optics.stress_optic import StressOpticLaw
 

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from palpate.psychophysics import Judgement
-from palpate.psychophysics.experiments.response_log import HEADER, response_lines
+from palpate.psychophysics.experiments.participant_record import HEADER, response_lines
 
 
 def write_responses(path: Path, judgements: Iterable[Judgement]) -> None:

@@ -8,9 +8,9 @@ from scipy import special
 from tests.refusals import refused
 
 from palpate.core import InputError, RangeError
-from palpate.psychophysics import rank_observer
+from palpate.psychophysics import judgements
 from palpate.psychophysics.analysis import confusion_of_places
-from palpate.psychophysics.rank_observer import RankObserver, gaussian_matrix
+from palpate.psychophysics.judgements import RankObserver, gaussian_matrix
 
 
 def test_two_stimuli_are_ranked_as_a_pair_is_told() -> None:
@@ -23,8 +23,8 @@ def test_two_stimuli_are_ranked_as_a_pair_is_told() -> None:
 def test_more_nodes_change_a_matrix_by_less_than_its_stated_error(monkeypatch) -> None:
     places = np.array([0.0, 4.0, 5.0, 8.5, 9.0])
     ours = gaussian_matrix(places)
-    monkeypatch.setattr(rank_observer, "NODES_OF_PERCEPT", 160)
-    assert np.abs(gaussian_matrix(places) - ours).max() < rank_observer.MATRIX_ERROR
+    monkeypatch.setattr(judgements, "NODES_OF_PERCEPT", 160)
+    assert np.abs(gaussian_matrix(places) - ours).max() < judgements.MATRIX_ERROR
 
 
 @pytest.mark.parametrize(("lapse", "reversal"), [(0.0, 0.0), (0.2, 0.0), (0.1, 0.25)])

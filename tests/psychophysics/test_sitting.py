@@ -34,8 +34,12 @@ from palpate.psychophysics.experiments import (
     records,
 )
 from palpate.psychophysics.experiments.experiment_file import EXPERIMENT
-from palpate.psychophysics.experiments.participant_record import ACTIVITIES, checked_age, letter_codes
-from palpate.psychophysics.experiments.response_log import ResponseLog
+from palpate.psychophysics.experiments.participant_record import (
+    ACTIVITIES,
+    ResponseLog,
+    checked_age,
+    letter_codes,
+)
 from palpate.psychophysics.experiments.sitting import KEY, SCHEDULE
 
 

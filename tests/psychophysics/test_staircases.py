@@ -9,8 +9,7 @@ from tests.refusals import refused
 
 from palpate.core import InputError
 from palpate.psychophysics.experiments import StaircaseRule
-from palpate.psychophysics.experiments.bayesian_placement import Placement
-from palpate.psychophysics.experiments.staircases import begin_staircase, step_staircase
+from palpate.psychophysics.experiments.adaptive_placement import Placement, begin_staircase, step_staircase
 
 
 @pytest.mark.parametrize(("right", "share"), [(1, 0.5), (2, 0.70711), (3, 0.79370), (4, 0.84090)])

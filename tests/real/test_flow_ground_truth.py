@@ -4,8 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from palpate.estimators.flow.flow_sequence import dis
-from palpate.estimators.flow.horn_schunck import coarse_to_fine, flow
+from palpate.estimators.flow.horn_schunck import coarse_to_fine, dis, flow
 
 
 def scene(folder):

@@ -20,7 +20,7 @@ from tests.real.gel_curvature import ImprintRegion, Lamps, bulge
 from tests.real.trial_assignment import assign, nearest
 
 from palpate.core.errors import InputError, RangeError
-from palpate.estimators.compliance.press_force import Loading, loading, loading_slope
+from palpate.estimators.compliance.stiffness_curve import Loading, loading, loading_slope
 from palpate.recordings.exchange.frame_sequences import VideoFrames
 from palpate.recordings.exchange.press_table import read_press_table
 

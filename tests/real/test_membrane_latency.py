@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from palpate.estimators.compliance.press_latency import pin_course, press_latency
-from palpate.estimators.flow.flow_sequence import dis
+from palpate.estimators.flow.horn_schunck import dis
 from palpate.recordings.exchange.frame_sequences import open_sequence
 from palpate.recordings.exchange.press_table import read_press_table
 

@@ -20,8 +20,15 @@ import cv2
 import numpy as np
 import pytest
 
-from palpate.estimators.flow.flow_sequence import along, dis
-from palpate.estimators.flow.horn_schunck import CoarseToFine, HornSchunck, coarse_to_fine, divergence, flow
+from palpate.estimators.flow.horn_schunck import (
+    CoarseToFine,
+    HornSchunck,
+    along,
+    coarse_to_fine,
+    dis,
+    divergence,
+    flow,
+)
 from palpate.recordings.exchange.frame_sequences import open_sequence
 from palpate.recordings.exchange.press_table import read_press_table
 

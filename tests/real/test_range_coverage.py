@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from palpate.calibration import CalibrationPlan, calibrate, evaluate
-from palpate.calibration.coverage.counted_groups import groups_in
+from palpate.calibration.coverage.grouped_rates import groups_in
 from palpate.calibration.coverage.range_scores import failing, range_scores
 from palpate.calibration.evaluation import predictions
 from palpate.estimators import Estimator

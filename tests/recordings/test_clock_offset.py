@@ -102,8 +102,7 @@ def test_taps_and_the_frames_on_their_flanks_are_counted() -> None:
 def test_what_the_virtual_rig_delays_is_found_in_its_own_frames() -> None:
     from palpate.rig.virtual import virtual_rig
     from palpate.rig.virtual.disturbances import Variation
-    from palpate.rig.virtual.virtual_camera import TRANSPORT_S
-    from palpate.rig.virtual.virtual_force import LATENCY_S
+    from palpate.rig.virtual.virtual_sensors import LATENCY_S, TRANSPORT_S
     from palpate.sensors import palm
     from palpate.sensors.palm.palm_sensor import Palm
 

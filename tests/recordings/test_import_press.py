@@ -11,7 +11,7 @@ from tests.refusals import refused
 from palpate.core.errors import ExistsError, ImageError, InputError, LabelError
 from palpate.recordings import Run
 from palpate.recordings.exchange.frame_sequences import open_sequence
-from palpate.recordings.exchange.press_import import import_press
+from palpate.recordings.exchange.image_import import import_press
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ import pytest
 
 from palpate.core import LabelError, UnitError
 from palpate.recordings.exchange.image_import import MAX_SHIFT, explained_by_shift, shift_doubt
-from palpate.recordings.exchange.label_units import unit_doubts, with_units
+from palpate.recordings.exchange.label_files import unit_doubts, with_units
 
 
 def table(**columns: object) -> pd.DataFrame:

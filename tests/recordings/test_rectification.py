@@ -6,8 +6,7 @@ import pytest
 from tests.refusals import refused
 
 from palpate.core import ImageError, Lens
-from palpate.recordings.preparation import Preparation
-from palpate.recordings.rectification import exact_maps, fixed_maps, rectified
+from palpate.recordings.preparation import Preparation, exact_maps, fixed_maps, rectified
 
 LENS = Lens("kannala-brandt", (330.0, 331.0), (318.0, 242.0), (0.03, -0.01, 0.004, -0.001), (480, 640), 0.8)
 

@@ -6,7 +6,7 @@ from tests.refusals import refused
 
 from palpate.core import InputError, RecordingError
 from palpate.recordings import Manifest, Run, RunWriter, check
-from palpate.recordings.run_notes import MAX_NOTE, NOTES, add_note, read_notes
+from palpate.recordings.manifest import MAX_NOTE, NOTES, add_note, read_notes
 
 
 @pytest.fixture

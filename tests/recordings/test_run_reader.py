@@ -20,7 +20,7 @@ from tests.refusals import refused
 from palpate.core import ImageError, ManualClock, PalpateError, RangeError, RecordingError
 from palpate.recordings import Manifest, Run, RunWriter, check, repair
 from palpate.recordings.exchange import image_files
-from palpate.recordings.segments import message_schema
+from palpate.recordings.segments import segment_writer
 from palpate.recordings.segments.segment_reader import scan
 
 SECOND = 1_000_000_000
@@ -106,12 +106,12 @@ def test_signals_cut_at_any_byte_yield_all_before_the_cut(run: Path, step: int) 
         cut = Run.open(run)
         whole = [chunk for chunk in chunks if chunk.offset + chunk.length <= size]
         ids = {
-            name: message_schema.channel_id("signals", name)
-            for name in (message_schema.LABELS, message_schema.FORCE)
+            name: segment_writer.channel_id("signals", name)
+            for name in (segment_writer.LABELS, segment_writer.FORCE)
         }
-        assert len(cut.force()) == sum(ids[message_schema.FORCE] in chunk.channels for chunk in whole)
+        assert len(cut.force()) == sum(ids[segment_writer.FORCE] in chunk.channels for chunk in whole)
         known = cut.labels["depth_mm"].dropna()
-        assert len(known) == sum(ids[message_schema.LABELS] in chunk.channels for chunk in whole)
+        assert len(known) == sum(ids[segment_writer.LABELS] in chunk.channels for chunk in whole)
         assert (known == known.index + 0.5).all()
         assert any(found.file == path.name for found in cut.damage)
         assert len(cut) == FRAMES
@@ -159,7 +159,7 @@ def test_a_flipped_chunk_of_signals_is_left_out_and_told(run: Path) -> None:
     force = [
         c
         for c in scan(path).chunks
-        if message_schema.channel_id("signals", message_schema.FORCE) in c.channels
+        if segment_writer.channel_id("signals", segment_writer.FORCE) in c.channels
     ]
     with path.open("r+b") as file:
         file.seek(force[0].offset + force[0].length - 1)
@@ -361,7 +361,7 @@ def test_arbitrary_messages_with_good_checksums_raise_nothing_but_our_own_errors
 
 @settings(max_examples=12)
 @given(
-    channel=st.sampled_from([message_schema.SEGMENT, message_schema.LABELS, message_schema.EVENTS]),
+    channel=st.sampled_from([segment_writer.SEGMENT, segment_writer.LABELS, segment_writer.EVENTS]),
     value=st.recursive(
         st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
         lambda inner: (
@@ -377,10 +377,10 @@ def test_arbitrary_messages_with_good_checksums_raise_nothing_but_our_own_errors
     ),
 )
 def test_arbitrary_json_in_a_segment_raises_nothing_but_our_own_errors(
-    written: Path, scratch: Path, channel: message_schema.Channel, value: object
+    written: Path, scratch: Path, channel: segment_writer.Channel, value: object
 ) -> None:
     text = json.dumps(value).encode() + b"\0"
-    inside = struct.pack("<HIQQ", message_schema.channel_id("signals", channel), 0, 5, 5)
+    inside = struct.pack("<HIQQ", segment_writer.channel_id("signals", channel), 0, 5, 5)
     inside += b"\0\1\0\0" + struct.pack("<I", len(text)) + text
     body = struct.pack("<BQ", 5, len(inside)) + inside
     chunk = struct.pack("<QQQIIQ", 0, 0, len(body), zlib.crc32(body), 0, len(body)) + body

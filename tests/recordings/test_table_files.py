@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 from tests.refusals import refused
 
 from palpate.core import InputError, MissingExtraError
-from palpate.recordings import read_labels, table_files
-from palpate.recordings.table_files import read_table, write_table
+from palpate.recordings import label_tables, read_labels
+from palpate.recordings.label_tables import read_table, write_table
 
 TEXTS = ["007", "7", "true", "", "a,b", 'say "so"', "two\nlines", "old\r\nends", "nan", "µm ∂", "'", "1e3"]
 
@@ -95,7 +95,7 @@ def test_a_file_that_is_cut_is_refused(tmp_path: Path, cut: int) -> None:
 def test_a_file_that_unpacks_to_too_much_is_refused(tmp_path: Path, monkeypatch) -> None:
     path = tmp_path / "table.csv.gz"
     write_table(pd.DataFrame({"x_mm": np.zeros(1000)}), path)
-    monkeypatch.setattr(table_files, "MAX_TABLE_BYTES", 1000)
+    monkeypatch.setattr(label_tables, "MAX_TABLE_BYTES", 1000)
     with refused("table-unreadable", InputError, match="1000"):
         read_table(path)
 

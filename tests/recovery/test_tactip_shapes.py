@@ -15,8 +15,7 @@ from tests.virtual_presses import pressed
 from palpate.calibration.compliance.compliance_calibration import ReferenceSpecimen, calibrate_compliance
 from palpate.calibration.compliance.compliance_reading import read_touch
 from palpate.sensors.tactip import tactip
-from palpate.workflows.tactip_specimens import shape_of, stiffness_of
-from palpate.workflows.tactip_trials import specimens_at
+from palpate.workflows.tactip_trials import shape_of, specimens_at, stiffness_of
 
 FLATS = {"rigid": math.inf, "S1": 7.6e3, "S2": 3.1e3, "S3": 1.1e3}
 SPHERES = {

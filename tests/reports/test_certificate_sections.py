@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from palpate.calibration import CalibrationPlan, calibrate
 from palpate.calibration.certificate import most_missed
-from palpate.calibration.confounds.deciding_pixels import block_edges
+from palpate.calibration.confounds.skin_region import block_edges
 from palpate.calibration.sessions import read_evaluations
 from palpate.cli import app
 from palpate.estimators import Estimator, read_card

@@ -12,7 +12,7 @@ from palpate.core import CertificateError, InputError
 from palpate.estimators import Estimator, read_card
 from palpate.estimators.findings import Finding, FindingCode
 from palpate.estimators.model_card import sealed
-from palpate.recordings.table_files import read_table
+from palpate.recordings.label_tables import read_table
 from palpate.reports.comparison_page import (
     compare_calibrations,
     comparison_text,

@@ -8,8 +8,8 @@ import pytest
 from palpate.calibration.compliance.compliance_calibration import ReferenceTrial
 from palpate.calibration.compliance.compliance_reading import AreaCourse, PressReading
 from palpate.core.reading import Reading
-from palpate.estimators.compliance.literature_method import AsReported
 from palpate.estimators.compliance.pin_press import PinPress
+from palpate.estimators.compliance.spread_rate import AsReported
 from palpate.reports.compliance_figures import compare_figure, press_figure
 
 FORCE = np.linspace(0.5, 5, 12)

@@ -10,7 +10,7 @@ from PIL import Image
 
 from palpate.core.errors import ExistsError, InputError
 from palpate.estimators.flow.horn_schunck import divergence, flow
-from palpate.reports.flow_figures import write_flow
+from palpate.reports.field_figures import write_flow
 
 
 def frames(rng, many=6) -> np.ndarray:

@@ -7,7 +7,7 @@ import pytest
 
 from palpate.core.units import decimals_for, half_width_text, rounded
 from palpate.estimators.model_card import ScoreCard
-from palpate.reports.score_intervals import explained_half_width, mean_error_half_width, percent
+from palpate.reports.terminal_text import explained_half_width, mean_error_half_width, percent
 
 
 @pytest.mark.parametrize(

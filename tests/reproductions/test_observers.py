@@ -9,7 +9,7 @@ from tests.refusals import refused
 
 from palpate.core import RangeError
 from palpate.psychophysics.analysis import RankConfusion, confusion_of_places
-from palpate.psychophysics.rank_observer import RankObserver
+from palpate.psychophysics.judgements import RankObserver
 from palpate_reproductions.softness.observers import (
     combined_observer,
     combined_sensitivity,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from palpate.psychophysics import Condition, Presentation
-from palpate.psychophysics.rank_observer import RankObserver
+from palpate.psychophysics.judgements import RankObserver
 from palpate_reproductions.softness.judged_softness import _interval_entries, _table_entries, fewest_answers
 from palpate_reproductions.softness.observers import (
     correlation_needed,

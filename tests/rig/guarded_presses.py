@@ -19,7 +19,7 @@ from palpate.rig.plans.recording_plan import PlannedPress, RecordingPlan
 from palpate.rig.press_motion import PressMotion
 from palpate.rig.run_progress import Recorder
 from palpate.rig.virtual import Fault, Variation, virtual_rig
-from palpate.rig.virtual.virtual_force import BIAS_N
+from palpate.rig.virtual.virtual_sensors import BIAS_N
 
 MM = 1e-3
 CENTRE = Place("centre", 0.0, 0.0)

@@ -9,7 +9,7 @@ from palpate.recordings.run_reader import Run
 from palpate.rig.plans import Listed, StepHold
 from palpate.rig.rig import Rig
 from palpate.rig.virtual import Fault, Variation, virtual_rig
-from palpate.rig.virtual.straight_motion import standing
+from palpate.rig.virtual.linear_rig import standing
 from palpate.sensors import palm
 from palpate.sensors.palm.palm_sensor import Palm
 

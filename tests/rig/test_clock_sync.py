@@ -24,8 +24,7 @@ from palpate.rig.plans import Listed, Ramp, StepHold
 from palpate.rig.rig_check import check_rig
 from palpate.rig.run_progress import fields_of
 from palpate.rig.virtual import Fault, Variation
-from palpate.rig.virtual.virtual_camera import TRANSPORT_S
-from palpate.rig.virtual.virtual_force import LATENCY_S
+from palpate.rig.virtual.virtual_sensors import LATENCY_S, TRANSPORT_S
 from palpate.sensors.palm.palm_sensor import Palm
 
 pytestmark = pytest.mark.usefixtures("coarse_looks")

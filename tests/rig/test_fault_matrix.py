@@ -31,7 +31,7 @@ from tests.slow_params import mostly_slow
 
 from palpate.devices import MotionGuard
 from palpate.devices.force_trust import ForceMonitor
-from palpate.devices.force_watch import ForceWatch
+from palpate.devices.motion_limits import ForceWatch
 from palpate.rig.virtual.virtual_stage import VirtualStage
 
 STRIDE = 3  # states from one fault's to the next: it comes to all ten

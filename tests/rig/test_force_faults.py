@@ -18,14 +18,14 @@ from palpate.devices import MotionGuard, OperatorControl, Reason, Tripped
 from palpate.devices.force_trust import ForceMonitor
 from palpate.recordings import Run, check
 from palpate.rig import PLANS, State, record
-from palpate.rig.force_lag import LAGS_S, lag_of
+from palpate.rig.force_checks import LAGS_S, lag_of
 from palpate.rig.plans import Known, Listed, StepHold
 from palpate.rig.plans.recording_plan import PlannedPress
 from palpate.rig.press_motion import PressMotion
 from palpate.rig.run_progress import TOUCH, ZERO, fields_of
 from palpate.rig.virtual import Variation, virtual_rig
 from palpate.rig.virtual.virtual_bench import default_variation
-from palpate.rig.virtual.virtual_force import BIAS_N
+from palpate.rig.virtual.virtual_sensors import BIAS_N
 
 ALLOWED_MM = 0.2  # from the step at which the force read is five standard deviations off
 ALLOWED_COARSE_MM = 0.3  # whose quantum is thrice its noise: before contact, and on a soft specimen

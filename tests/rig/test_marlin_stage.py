@@ -23,7 +23,7 @@ from palpate.core import (
 )
 from palpate.devices.check import check_stage
 from palpate.rig.real.marlin import MarlinSpec, MarlinStage
-from palpate.rig.real.marlin.marlin_lines import MarlinMachine, numbered, read_line
+from palpate.rig.real.marlin.marlin_link import MarlinMachine, numbered, read_line
 from palpate.rig.rig_file import RigFile
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="a pseudo-terminal needs POSIX")

@@ -23,9 +23,8 @@ from palpate.core import NS_PER_S, DeviceError, MonotonicClock
 from palpate.rig.commissioning import bench
 from palpate.rig.real import device_hold, serial_port
 from palpate.rig.real.device_hold import box_named, camera_named, hold_device, port_named
-from palpate.rig.real.heard_lines import describe_heard
 from palpate.rig.real.netft.netft_sensor import NetFT, NetFTSettings
-from palpate.rig.real.serial_port import SerialPort, open_port
+from palpate.rig.real.serial_port import SerialPort, describe_heard, open_port
 from palpate.rig.rig_file import open_rig
 
 pytest.importorskip("serial", reason="a stage's port needs pyserial")

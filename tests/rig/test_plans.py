@@ -10,7 +10,7 @@ from tests.refusals import refused
 from palpate.core.errors import InputError
 from palpate.core.sensor import for_rig, sensor
 from palpate.rig.plans import PLANS, Grid, Scattered, StepHold, plan_from, plan_of, plan_of_sensor, size_of
-from palpate.rig.plans.plan_kinds import Dwell, Lateral
+from palpate.rig.plans.plan_files import Dwell, Lateral
 from palpate.rig.plans.recording_plan import Aside, Burst, Depth, Over, Seek, Step, TareStep
 
 

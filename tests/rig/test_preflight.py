@@ -14,8 +14,8 @@ from tests.rig.test_rig_setup import LABS
 from tests.slow_params import mostly_slow
 
 from palpate.core.errors import PalpateError
+from palpate.devices.long_running import SleepWatch
 from palpate.devices.motion_limits import Reason, Tripped
-from palpate.devices.suspension import SleepWatch
 from palpate.rig.engine import record
 from palpate.rig.plans import Listed, StepHold
 from palpate.rig.preflight import check_ready

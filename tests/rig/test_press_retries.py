@@ -21,15 +21,14 @@ from palpate.devices.force_trust.stiffness_corridor import UNKNOWN_N_M
 from palpate.recordings import Run, check
 from palpate.rig import State, done_in, record
 from palpate.rig.engine import DISBELIEVED
+from palpate.rig.force_checks import stiffness_lines, stiffness_of
+from palpate.rig.label_force import slope_n_s
 from palpate.rig.plans import Listed, Ramp
 from palpate.rig.preflight import notes_of
-from palpate.rig.press_retries import REJECTED, TRANSIENT, RetryLimits
-from palpate.rig.rig import Rig
+from palpate.rig.rig import REJECTED, TRANSIENT, RetryLimits, Rig
 from palpate.rig.rig_file.opened_rig import RigFile, rig_from
 from palpate.rig.run_progress import fields_of
-from palpate.rig.skin_stiffness import stiffness_lines, stiffness_of
 from palpate.rig.virtual import Variation
-from palpate.rig.zero_drift import slope_n_s
 
 PLACE = Listed(kind="listed", at_mm=((0.0, 0.0),))
 SMALL = plan(cycles=1, depth_mm=0.8, places=PLACE, frames=1)

@@ -31,8 +31,8 @@ from palpate.rig.commissioning.setup_answers import toml_text
 from palpate.rig.engine import manifest_of
 from palpate.rig.plans import Listed
 from palpate.rig.rig_file import GrblPart, UrArmPart, opened_rig, read_rig
-from palpate.rig.rig_file.motion_parts import LimitsPart
-from palpate.rig.service import rig_name, served_rig
+from palpate.rig.rig_file.stage_parts import LimitsPart
+from palpate.rig.service import rig_client, rig_name
 from palpate.rig.virtual import virtual_rig
 from palpate.rig.virtual.virtual_bench import REAL_TIME_AGE_S
 
@@ -118,12 +118,12 @@ def test_the_operators_page_opens_a_rig_by_its_file(tmp_path: Path) -> None:
         'name = "b"\n[virtual]\nreal_time = true\n[[regions]]\nname = "rim"\nbox_px = [1, 2, 30, 40]',
     )
     assert rig_name(path) == str(Path(path).resolve())
-    opened = served_rig.open_served_rig(path)
+    opened = rig_client.open_served_rig(path)
     assert opened.real_time
     assert opened.rig.regions == (("rim", (1, 2, 30, 40)),)
     assert opened.rig.limits.age_s == REAL_TIME_AGE_S
     opened.rig.close()
-    plain = served_rig.open_served_rig(written(tmp_path, 'name = "b"\n[virtual]'))
+    plain = rig_client.open_served_rig(written(tmp_path, 'name = "b"\n[virtual]'))
     assert [region.name for region in plain.rig.regions] == ["fringes", "mirror"]
     assert plain.rig.is_simulated  # whatever its file calls it
     assert not plain.real_time

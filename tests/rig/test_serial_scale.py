@@ -17,11 +17,17 @@ from tests.rig.serial_terminal import FakeTerminal
 
 from palpate.core import DeviceError, ForceSensor, InputError, MonotonicClock, ProtocolError, RangeError
 from palpate.devices.check import check_force_sensor
-from palpate.rig.real.resense import HexSensor, HexSpec
-from palpate.rig.real.resense.hex_sensor import SAMPLE_BYTES, TRIED, HexFrames
-from palpate.rig.real.scale import ScaleSpec, SerialScale
-from palpate.rig.real.scale.serial_scale import MAX_GARBLED, STUCK_LINES, WeightStream
-from palpate.rig.real.scale.weight_line import G0, MAX_LINE, read_weight
+from palpate.rig.real.resense import SAMPLE_BYTES, TRIED, HexFrames, HexSensor, HexSpec
+from palpate.rig.real.scale import (
+    G0,
+    MAX_GARBLED,
+    MAX_LINE,
+    STUCK_LINES,
+    ScaleSpec,
+    SerialScale,
+    WeightStream,
+    read_weight,
+)
 from palpate.rig.rig_file import RigFile
 
 BUSY = ("call-time", "sample-rate")  # what a loaded machine may break although the driver keeps it

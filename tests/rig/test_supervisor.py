@@ -29,9 +29,8 @@ from palpate.rig import open_rig
 from palpate.rig.commissioning.bench import stop_rig
 from palpate.rig.plans import Listed, StepHold
 from palpate.rig.rig import Rig
-from palpate.rig.service.rig_client import RigClient, launch
+from palpate.rig.service.rig_client import RigClient, launch, open_served_rig, rig_name
 from palpate.rig.service.rig_service import RigService
-from palpate.rig.service.served_rig import open_served_rig, rig_name
 
 MM = 1e-3
 REPOSITORY = Path(__file__).resolve().parents[2]

@@ -28,10 +28,9 @@ from palpate.rig import PLANS, State, open_rig, record
 from palpate.rig.commissioning.bench import open_bench
 from palpate.rig.rig import Rig
 from palpate.rig.virtual import Variation, virtual_rig
-from palpate.rig.virtual.followed_stage import FollowedWorld
-from palpate.rig.virtual.straight_motion import Motion
-from palpate.rig.virtual.virtual_camera import VirtualCamera
-from palpate.rig.virtual.virtual_force import VirtualForce
+from palpate.rig.virtual.linear_rig import Motion
+from palpate.rig.virtual.virtual_bench import FollowedWorld
+from palpate.rig.virtual.virtual_sensors import VirtualCamera, VirtualForce
 from palpate.rig.virtual.virtual_world import ViscoelasticSkin
 from palpate.sensors import palm
 from palpate.sensors.palm.palm_sensor import Palm

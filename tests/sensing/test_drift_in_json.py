@@ -19,9 +19,9 @@ from palpate.core.reading import (
 from palpate.estimators.lattice import ControlPoints
 from palpate.estimators.shear import ShearTouch
 from palpate.estimators.shear.touch_places import TouchPlaces
+from palpate.sensing.frame_readers import TouchedFrame
 from palpate.sensing.live_loop import LiveReading
 from palpate.sensing.sensing_loop import Sensed
-from palpate.sensing.shear_frames import TouchedFrame
 from palpate.sensing.streaming.live_statistics import LiveStatistics
 
 STALE = Drift(2.0, 0.5)

@@ -8,8 +8,8 @@ from tests.fringe_fields import LED, colours, disc
 from palpate.core import Frame, InputError
 from palpate.estimators.fringe_map import ColourReader, table_of
 from palpate.optics.colour import encode_srgb
+from palpate.sensing.frame_readers import read_orders
 from palpate.sensing.frame_sources import image_files
-from palpate.sensing.fringe_frames import read_orders
 
 SHARE, _, FACE = disc()
 LOADS = (0.2, 0.5, 0.8, 1.1)

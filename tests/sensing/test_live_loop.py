@@ -16,9 +16,9 @@ from palpate.core.device_protocols import Wrench
 from palpate.estimators import Estimator
 from palpate.recordings import export_folder
 from palpate.sensing import live_loop, open_source, sense
-from palpate.sensing.live_iteration import Live, live
 from palpate.sensing.live_loop import LiveLoop, LiveReading, LiveState
-from palpate.sensing.streaming import live_drift, live_slots
+from palpate.sensing.sensing_loop import Live, live
+from palpate.sensing.streaming import live_slots, live_statistics
 from palpate.sensing.streaming.live_image import ImageWatch
 from palpate.sensing.streaming.live_slots import NewestSlot
 from palpate.sensing.streaming.live_statistics import StatisticsKeeper
@@ -312,7 +312,7 @@ def test_force_beside_the_camera_is_told_and_its_bias_leaves_with_the_zero() -> 
     ],
 )
 def test_advice_follows_the_guard(monkeypatch, differential, drifted, valid, kind, action) -> None:
-    monkeypatch.setattr(live_drift, "LOOK_S", 1e-6)
+    monkeypatch.setattr(live_statistics, "LOOK_S", 1e-6)
     reader = MeanReader(differential=differential)
     reader.drifts = Drift(5.0 if drifted else 1.0, 3.0)
     reader.kind, reader.valid = kind, valid

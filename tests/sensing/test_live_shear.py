@@ -10,8 +10,8 @@ from tests.sensing.live_stand_ins import HandedFrames
 import palpate
 from palpate.core import CertificateError, Frame, Pose, untouched
 from palpate.estimators.shear import ShearReader
+from palpate.sensing.frame_readers import read_touches
 from palpate.sensing.live_loop import LiveLoop
-from palpate.sensing.shear_frames import read_touches
 from palpate.sensing.streaming.touch_readers import open_shear_reader
 
 

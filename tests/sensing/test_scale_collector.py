@@ -11,8 +11,7 @@ from tests.sensing.live_stand_ins import until
 
 from palpate.core import DeviceError, Frame, InputError, Wrench
 from palpate.recordings import Run
-from palpate.sensing.collection.press_collector import PressCollector
-from palpate.sensing.collection.scale_collector import ScaleCollector
+from palpate.sensing.collection.press_collector import PressCollector, ScaleCollector
 from palpate.sensing.live_service import LiveOptions, LiveService
 
 

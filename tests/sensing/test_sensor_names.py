@@ -9,7 +9,7 @@ from tests.refusals import refused
 from palpate.core import InputError
 from palpate.recordings import Manifest, RunWriter
 from palpate.sensing.live_sources import open_live_source
-from palpate.sensing.streaming.sensor_names import refuse_other_sensor, sensor_family, stated_sensor
+from palpate.sensing.streaming.live_slots import refuse_other_sensor, sensor_family, stated_sensor
 
 
 def run_of(folder, sensor: str):

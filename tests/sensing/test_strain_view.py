@@ -7,7 +7,7 @@ import pytest
 
 from palpate.core import ManualClock
 from palpate.rig.virtual.virtual_hand import HandHabits, VirtualHand
-from palpate.sensing.streaming.strain_view import MIN_TOLD, strain_view
+from palpate.sensing.streaming.source_views import MIN_TOLD, strain_view
 from palpate.sensing.streaming.touch_readers import ShearFrameReader
 
 PLACE_M = (0.008, 0.004)

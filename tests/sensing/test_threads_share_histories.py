@@ -17,8 +17,8 @@ from tests.sensing.live_stand_ins import HandedFrames, MeanReader, numbered
 from palpate.core import Drift, Frame
 from palpate.core.shared_history import SharedHistory
 from palpate.sensing.live_loop import LiveLoop
-from palpate.sensing.streaming import live_drift
-from palpate.sensing.streaming.live_drift import DriftWatch
+from palpate.sensing.streaming import live_statistics
+from palpate.sensing.streaming.live_statistics import DriftWatch
 from palpate.studio.live.live_desk import LiveSensor
 
 STRESS_S = 0.3
@@ -57,7 +57,7 @@ def drift_watch(monkeypatch: pytest.MonkeyPatch) -> tuple[DriftWatch, Callable[[
     reader, frame = MeanReader(), numbered(0)
     reader.drifts = Drift(0.5, 1.0)
     watch, readings = DriftWatch(reader), reader.read(frame)
-    monkeypatch.setattr(live_drift, "LOOK_S", 0.0)
+    monkeypatch.setattr(live_statistics, "LOOK_S", 0.0)
     return watch, lambda: watch.frame(frame.image, readings)
 
 

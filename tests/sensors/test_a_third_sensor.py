@@ -30,7 +30,7 @@ import numpy as np
 
 from palpate.core import Contact, Frame, InputError, Pose, Probe, RangeError
 from palpate.core.contact import FRESH
-from palpate.core.outline import Outline
+from palpate.core.contact import Outline
 from palpate.core.sensor import SEATED, ImageAxes
 from palpate.mechanics.half_space import hertz
 

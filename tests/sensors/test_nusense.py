@@ -23,12 +23,11 @@ from palpate.core import (
     Seating,
     Specimen,
 )
-from palpate.mechanics.axisymmetric.sphere_table import SphereTable
+from palpate.mechanics.axisymmetric.shape_table import SphereTable
 from palpate.mechanics.layers.stack import ElasticLayer, Stack
 from palpate.sensors.nusense.nusense_sensor import NuSense
 from palpate.sensors.nusense.nusense_spec import NuSenseSpec, PadLight, fabricated
-from palpate.sensors.nusense.pad_contact import pad_contact, relaxed_press
-from palpate.sensors.nusense.pad_indenters import parse_indenter
+from palpate.sensors.nusense.pad_contact import pad_contact, parse_indenter, relaxed_press
 from palpate.sensors.nusense.pad_view import pad_window, rest_places
 from palpate.sensors.nusense.pattern_motion import pattern_motion
 

@@ -13,7 +13,7 @@ from palpate.estimators.guard import thumbnail
 from palpate.estimators.networks.model_interface import TrainingData
 from palpate.sensors import palm
 from palpate.sensors.palm import random_presses
-from palpate.sensors.palm.press_law import PressLaw
+from palpate.sensors.palm.palm_variation import PressLaw
 from palpate.sensors.palm.random_presses import TARGETS, draw_presses
 
 torch = pytest.importorskip("torch", reason="the network trains with torch")

@@ -25,7 +25,7 @@ from palpate.core.errors import MisfitError
 from palpate.estimators.unit_fit import GRAVITY_M_S2, most_probable
 from palpate.optics.stress_optic import StressOpticLaw
 from palpate.recordings import Manifest, RunWriter
-from palpate.sensors.palm.copies import palm_copy_fit, palm_weight
+from palpate.sensors.palm.copies import palm_copy_fit
 from palpate.sensors.palm.copies.copy_estimate import joined
 from palpate.sensors.palm.copies.palm_copy import (
     LOCAL,
@@ -41,14 +41,16 @@ from palpate.sensors.palm.copies.palm_copy import (
 from palpate.sensors.palm.copies.palm_copy_fit import (
     _estimate_at,
     _first_looks,
+    check_weight,
     fit_copy,
     pictured,
+    pictured_presses,
+    read_copy,
     read_press,
     refuse_far,
     refuse_misfit,
+    write_copy,
 )
-from palpate.sensors.palm.copies.palm_copy_store import pictured_presses, read_copy, write_copy
-from palpate.sensors.palm.copies.palm_weight import check_weight
 from palpate.sensors.palm.copies.press_picture import seen_press
 from palpate.sensors.palm.palm_press import press, press_to_force
 from palpate.sensors.palm.palm_render import render
@@ -159,15 +161,15 @@ def test_a_weight_that_rolls_between_two_pictures_is_refused(monkeypatch, way, m
     later = picture + np.uint8(1)
     first = PressFound(1e-3, -1e-3, 2e-3, 2.0, 2e-5, 2e-5, 1e-5, 0.01, 0.004)
     then = first._replace(**{way: getattr(first, way) + moved_m})
-    monkeypatch.setattr(palm_weight, "fit_copy", lambda *_, **__: CopyFit(known, (then,), ()))
+    monkeypatch.setattr(palm_copy_fit, "fit_copy", lambda *_, **__: CopyFit(known, (then,), ()))
     found = CopyFit(known, (first,), ())
     if rolled:
         with pytest.raises(InputError, match=re.escape(f"moved by {1e3 * moved_m:+.2f} mm along {way[0]}")):
-            palm_weight.refuse_rolling(found, picture, later, picture)
+            palm_copy_fit.refuse_rolling(found, picture, later, picture)
     else:
-        palm_weight.refuse_rolling(found, picture, later, picture)
+        palm_copy_fit.refuse_rolling(found, picture, later, picture)
     with pytest.raises(InputError, match="the same"):
-        palm_weight.refuse_rolling(found, picture, picture, picture)
+        palm_copy_fit.refuse_rolling(found, picture, picture, picture)
 
 
 def test_pictures_and_numbers_that_cannot_be_are_refused() -> None:
@@ -264,7 +266,7 @@ def test_forces_in_another_unit_are_refused_since_no_picture_shows_them(unit: fl
 
 
 def test_a_copy_goes_through_its_file_and_another_file_is_refused(tmp_path: Path) -> None:
-    from palpate.sensors.palm.copies.palm_copy_store import design_for
+    from palpate.sensors.palm.copies.palm_copy_fit import design_for
 
     known = design_for("debug", (108, 192))
     known = replace(

@@ -11,10 +11,8 @@ from numpy.testing import assert_allclose
 
 from palpate.core import Pose
 from palpate.estimators.unit_fit import KnownRow, Widening, standardised, widening_of
-from palpate.optics.camera_response import AutoExposure
-from palpate.sensors.palm.copies.copy_advice import told_by, unsure_constants
-from palpate.sensors.palm.copies.copy_force import log_force
-from palpate.sensors.palm.copies.copy_slopes import picture_slopes
+from palpate.optics.image_chain import AutoExposure
+from palpate.sensors.palm.copies.copy_estimate import log_force, picture_slopes, told_by, unsure_constants
 from palpate.sensors.palm.copies.palm_copy import AT, LOCAL, TERMS, PalmCopy, designed_copy
 from palpate.sensors.palm.copies.press_picture import (
     backdrop_of,
@@ -22,11 +20,10 @@ from palpate.sensors.palm.copies.press_picture import (
     pictured,
     shown,
 )
+from palpate.sensors.palm.membrane_faults import Glare, MirrorDirt, UnevenGel, modulus_ratio, thickness_at
 from palpate.sensors.palm.palm_press import press
 from palpate.sensors.palm.palm_render import housed, render, render_clean
 from palpate.sensors.palm.palm_spec import palm, scaled_down
-from palpate.sensors.palm.uneven_membrane import UnevenGel, modulus_ratio, thickness_at
-from palpate.sensors.palm.view_faults import Glare, MirrorDirt
 
 DESIGN = scaled_down(palm(), 20, "tiny")
 AT_REST, PRESSED = Pose(0.0, 0.0, -1e-3), Pose(3e-3, -2e-3, 2.5e-3)

@@ -12,26 +12,30 @@ from tests.refusals import refused
 
 from palpate.core import InputError, Pose, RangeError
 from palpate.optics import Rays, march_axisymmetric, plane_amplitude
-from palpate.optics.camera_response import AutoExposure
+from palpate.optics.image_chain import AutoExposure
 from palpate.sensors import palm
 from palpate.sensors.palm import fringe_view
-from palpate.sensors.palm.mirror_view import contact_px
-from palpate.sensors.palm.palm_press import press, press_layers, press_to_force
-from palpate.sensors.palm.palm_render import housed, render_clean
-from palpate.sensors.palm.palm_rim import rim_by_place
-from palpate.sensors.palm.palm_sensor import force_law_of
-from palpate.sensors.palm.palm_variation import IMPERFECT, drawn_palm
-from palpate.sensors.palm.probe_shapes import parse_probe
-from palpate.sensors.palm.uneven_membrane import (
+from palpate.sensors.palm.membrane_faults import (
+    Glare,
+    MirrorDirt,
     ResidualMap,
     UnevenGel,
+    dirt_over,
     disc_modes,
     frozen_at,
     modulus_ratio,
+    mottled,
+    registered,
     side_modes,
     thickness_at,
 )
-from palpate.sensors.palm.view_faults import Glare, MirrorDirt, dirt_over, mottled, registered
+from palpate.sensors.palm.mirror_view import contact_px
+from palpate.sensors.palm.palm_press import press, press_layers, press_to_force
+from palpate.sensors.palm.palm_render import housed, render_clean
+from palpate.sensors.palm.palm_sensor import force_law_of
+from palpate.sensors.palm.palm_variation import IMPERFECT, drawn_palm
+from palpate.sensors.palm.press_corrections import rim_by_place
+from palpate.sensors.palm.probe_shapes import parse_probe
 
 SPEC = palm.debug()
 BARE = replace(SPEC, extinction=0.0, rays_per_pixel=(1, 1))

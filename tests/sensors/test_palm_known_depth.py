@@ -6,9 +6,9 @@ import pytest
 
 from palpate.core import Pose, PressHistory, RangeError
 from palpate.sensors import palm
+from palpate.sensors.palm.membrane_faults import UnevenGel, thickness_at, thickness_range
 from palpate.sensors.palm.palm_press import LINEAR_DEPTH_M
 from palpate.sensors.palm.palm_sensor import Palm
-from palpate.sensors.palm.uneven_membrane import UnevenGel, thickness_at, thickness_range
 
 SPEC = palm.preset("debug")
 TABLED = "sphere:10", "punch:8", "cylinder:6:12:30", "two-points:5:8", "edge:12", "points:5:0,-4;0,4"

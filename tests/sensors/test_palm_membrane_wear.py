@@ -9,7 +9,7 @@ from palpate.core import Pose, RangeError
 from palpate.optics.colour import Spectrum
 from palpate.sensors import palm
 from palpate.sensors.palm import fringe_view, mirror_view
-from palpate.sensors.palm.membrane_wear import (
+from palpate.sensors.palm.membrane_faults import (
     Wear,
     film,
     passed_by,

@@ -14,8 +14,8 @@ from palpate.core.clock import NS_PER_S, ManualClock
 from palpate.rig.virtual import Variation, virtual_rig
 from palpate.sensors import palm
 from palpate.sensors.palm import fringe_orders, fringe_view
-from palpate.sensors.palm.palm_rim import rim_effect, rim_reach
 from palpate.sensors.palm.palm_sensor import Palm
+from palpate.sensors.palm.press_corrections import rim_effect, rim_reach
 
 STATED = palm.cropped(palm.palm(), 16, "tiny")
 APPLIED = replace(STATED, rim="applied")

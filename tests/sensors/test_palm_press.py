@@ -9,14 +9,14 @@ from palpate.core import InputError, Pose, Probe, RangeError
 from palpate.core.errors import MaterialStrainError
 from palpate.mechanics.layers.bonded_layer import sphere_force
 from palpate.sensors import palm
-from palpate.sensors.palm import narrow_contact
-from palpate.sensors.palm.narrow_contact import press_narrow
+from palpate.sensors.palm import press_corrections
 from palpate.sensors.palm.palm_press import (
     LINEAR_DEPTH_M,
     contact_strain,
     press_layers,
     stack_of,
 )
+from palpate.sensors.palm.press_corrections import press_narrow
 from palpate.sensors.palm.probe_shapes import EDGE_SLOPE_RAD
 
 SPEC = palm.palm()
@@ -209,8 +209,8 @@ def test_a_narrow_contact_s_force_is_that_of_cells_half_as_wide(words, depth_m, 
         return press_narrow(stack_of(SPEC), probe, pose, grid.x_m, grid.y_m).force_n
 
     usual = force_n()
-    monkeypatch.setattr(narrow_contact, "ACROSS", 2 * narrow_contact.ACROSS)
-    monkeypatch.setattr(narrow_contact, "PER_CELL", 2 * narrow_contact.PER_CELL)
+    monkeypatch.setattr(press_corrections, "ACROSS", 2 * press_corrections.ACROSS)
+    monkeypatch.setattr(press_corrections, "PER_CELL", 2 * press_corrections.PER_CELL)
     assert usual == pytest.approx(force_n(), rel=2e-3)
 
 

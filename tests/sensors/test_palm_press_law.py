@@ -15,9 +15,9 @@ from palpate.core import Pose
 from palpate.rig.plans.recording_plan import RecordingPlan
 from palpate.rig.virtual.disturbances import Variation
 from palpate.sensors import palm
-from palpate.sensors.palm import press_law, random_presses
+from palpate.sensors.palm import palm_variation, random_presses
 from palpate.sensors.palm.palm_press import depth_of_force, press
-from palpate.sensors.palm.press_law import PRESS_LAW, PressLaw
+from palpate.sensors.palm.palm_variation import PRESS_LAW, PressLaw
 
 SPEC = palm.cropped(palm.palm(), 32, "test")
 THRESHOLD_N, LATE_MM = 0.05, 0.008  # at which a recording's plan calls contact, and how late the rig finds it
@@ -57,7 +57,7 @@ def test_no_number_of_the_law_is_the_rig_s() -> None:
 
 
 def test_what_draws_presses_imports_nothing_of_a_rig() -> None:
-    for module in (press_law, random_presses):
+    for module in (palm_variation, random_presses):
         assert has_no_rig_in(Path(module.__file__).read_text(encoding="utf-8"))
     assert not has_no_rig_in("from palpate.rig.virtual.disturbances import Variation")
     assert not has_no_rig_in("import palpate.rig.plans")

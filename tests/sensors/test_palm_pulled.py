@@ -10,7 +10,7 @@ from tests.refusals import refused
 from palpate.core import Pose, PressHistory, RangeError
 from palpate.sensors import palm
 from palpate.sensors.palm.palm_sensor import Palm
-from palpate.sensors.palm.pulled_ball import is_pulled_ball, stress_about
+from palpate.sensors.palm.probe_stress import is_pulled_ball, stress_about
 
 SPEC = palm.cropped(palm.debug(), 40, "small")
 MM = 1e-3

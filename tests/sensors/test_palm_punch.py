@@ -7,7 +7,7 @@ import pytest
 from tests.refusals import refused
 
 from palpate.core import Pose, RangeError
-from palpate.mechanics.axisymmetric.punch_table import PunchTable, is_punched
+from palpate.mechanics.axisymmetric.shape_table import PunchTable, is_punched
 from palpate.mechanics.layers.contact_solver import press_stack
 from palpate.sensors import palm
 from palpate.sensors.palm.palm_press import (

@@ -6,8 +6,7 @@ import pytest
 from tests.refusals import refused
 
 from palpate.core import InputError, Pose, Probe, RangeError
-from palpate.mechanics.probe_contact import is_tabled_probe
-from palpate.mechanics.resultant import resultant_of
+from palpate.mechanics.probe_contact import is_tabled_probe, resultant_of
 from palpate.sensors import palm
 from palpate.sensors.palm import random_presses
 from palpate.sensors.palm.palm_press import FRICTION, greatest_aside, press_layers

@@ -12,7 +12,7 @@ from palpate.core import Pose
 from palpate.core.errors import InputError
 from palpate.sensors import palm
 from palpate.sensors.palm.palm_press import depth_of_force
-from palpate.sensors.palm.press_law import PRESS_LAW
+from palpate.sensors.palm.palm_variation import PRESS_LAW
 from palpate.sensors.palm.random_presses import draw_presses
 
 SPEC = palm.cropped(palm.palm(), 32, "test")

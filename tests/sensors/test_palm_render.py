@@ -5,7 +5,7 @@ import pytest
 
 from palpate.core import InputError, Pose
 from palpate.optics import encode_srgb
-from palpate.optics.illumination import strip_light
+from palpate.optics.image_chain import strip_light
 from palpate.sensors import palm
 from palpate.sensors.palm.palm_render import BACKGROUND, lamp
 

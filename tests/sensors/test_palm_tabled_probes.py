@@ -12,8 +12,8 @@ from palpate.sensors import palm
 from palpate.sensors.palm import fringe_orders
 from palpate.sensors.palm.palm_press import LINEAR_DEPTH_M, press_layers
 from palpate.sensors.palm.palm_sensor import Palm
+from palpate.sensors.palm.probe_shapes import has_probe_table, probe_table_of, probes_with_table
 from palpate.sensors.palm.probe_stress import stress_beneath
-from palpate.sensors.palm.tabled_probes import has_probe_table, probe_table_of, probes_with_table
 
 SPEC = palm.preset("debug")
 PROBES = probes_with_table(SPEC).split(", ")

@@ -12,11 +12,9 @@ from tests.installed_packages import lay_package
 from tests.refusals import refused
 
 import palpate
-from palpate.core.contact import Pose
+from palpate.core.contact import Outline, Pose, Specimen
 from palpate.core.errors import InputError, RangeError
-from palpate.core.outline import Outline
 from palpate.core.sensor import SENSORS, sensor
-from palpate.core.specimen import Specimen
 
 Install = Callable[..., None]
 

@@ -12,8 +12,8 @@ from tests.refusals import refused
 from palpate.core import Pose
 from palpate.core.errors import InputError, RangeError
 from palpate.sensors.tactip import PINS_127, PINS_331, PinLayout, tactip
-from palpate.sensors.tactip.skin_and_markers import LeaningSkin, head_on, lattice, markers
 from palpate.sensors.tactip.tactip_camera import slopes
+from palpate.sensors.tactip.tactip_press import LeaningSkin, head_on, lattice, markers
 from palpate.sensors.tactip.tactip_sensor import TacTip
 
 S1, S3 = 0.2419e6, 0.035e6

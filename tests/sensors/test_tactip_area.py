@@ -9,9 +9,8 @@ from tests.refusals import refused
 from palpate.core import InputError, Lens
 from palpate.estimators.pins import find_pins
 from palpate.sensors.tactip import tactip
-from palpate.sensors.tactip.skin_and_markers import head_on
-from palpate.sensors.tactip.skin_through_camera import skin_places_m, untouched_area_m2
-from palpate.sensors.tactip.tactip_press import _projected, pictured
+from palpate.sensors.tactip.posed_tip import skin_places_m, untouched_area_m2
+from palpate.sensors.tactip.tactip_press import _projected, head_on, pictured
 
 LENS = Lens("kannala-brandt", (220.0, 221.0), (133.0, 135.0), (-0.12, 0.05, -0.01, 0.0), (267, 267))
 

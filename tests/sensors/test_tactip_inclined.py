@@ -10,7 +10,7 @@ from palpate.mechanics.axisymmetric.tilted_tip import tip_modes, top_modes
 from palpate.mechanics.axisymmetric.tip_table import tip_table
 from palpate.sensors.tactip import TacTipSpec, inclined_press as module, tactip, tactip_sensor
 from palpate.sensors.tactip.inclined_press import Inclined, SideOn, inclined
-from palpate.sensors.tactip.skin_and_markers import LeaningSkin, lattice
+from palpate.sensors.tactip.tactip_press import LeaningSkin, lattice
 
 TILT = float(np.deg2rad(30))
 

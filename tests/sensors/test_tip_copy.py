@@ -18,9 +18,9 @@ from typer.testing import CliRunner
 from palpate.cli import app
 from palpate.core import ImageError, InputError, RangeError
 from palpate.estimators.unit_fit import GRAVITY_M_S2
-from palpate.mechanics.axisymmetric.tip_family import tip_between
+from palpate.mechanics.axisymmetric.tip_table import tip_between
+from palpate.recordings.exchange.image_import import import_press
 from palpate.recordings.exchange.press_folder import write_press, write_specimens
-from palpate.recordings.exchange.press_import import import_press
 from palpate.sensors.tactip import tactip
 from palpate.sensors.tactip.tip_copies import (
     COPY_TERMS,
@@ -31,11 +31,10 @@ from palpate.sensors.tactip.tip_copies import (
     pins_between,
     read_plate_press,
 )
-from palpate.sensors.tactip.tip_copies.tip_copy import SPREADS
-from palpate.sensors.tactip.tip_copies.tip_copy_store import load_tip_copy, write_tip_copy
+from palpate.sensors.tactip.tip_copies.tip_copy import SPREADS, load_tip_copy, write_tip_copy
+from palpate.sensors.tactip.tip_copies.tip_copy_fit import check_tip_weight
 from palpate.sensors.tactip.tip_copies.tip_estimate import TipEstimate
 from palpate.sensors.tactip.tip_copies.tip_variation import TipSpread, VirtualTip, drawn_tip
-from palpate.sensors.tactip.tip_copies.tip_weight import check_tip_weight
 
 DESIGN = designed_tip(tactip(127))
 RATIO = 22.0

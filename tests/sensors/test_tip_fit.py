@@ -18,12 +18,12 @@ from palpate.cli import app
 from palpate.core import ImageError, InputError, LabelError
 from palpate.sensors.tactip import fitted_tactip
 from palpate.sensors.tactip.posed_tip import POSE, PosedTip, TipTerms
-from palpate.sensors.tactip.skin_and_markers import lattice
+from palpate.sensors.tactip.tactip_press import lattice
 from palpate.sensors.tactip.taps import load_reader, register_taps, tip_fit, tip_reader
 from palpate.sensors.tactip.taps.tap_folder import fit_folder
 from palpate.sensors.tactip.taps.tap_pins import named_taps
 from palpate.sensors.tactip.taps.tip_fit import fit_tip, judge_tip
-from palpate.sensors.tactip.taps.twin_error import TwinError
+from palpate.sensors.tactip.taps.tip_reader import TwinError
 
 TRUE = TipTerms(
     lever_mm=0.8, camera_mm=50.0, depth_zero_mm=0.4, edge_rad=1.05, tilt_xy=-0.9, tilt_yx=0.9,

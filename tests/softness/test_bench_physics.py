@@ -7,8 +7,7 @@ import pytest
 from tests.refusals import refused
 
 from palpate.core import DeviceError, ManualClock
-from palpate.softness.control.pressure_servo import FlowServo
-from palpate.softness.control.speed_tracker import SpeedTracker
+from palpate.softness.control.servos import FlowServo, SpeedTracker
 from palpate.softness.display_parts import (
     ANR_DENSITY_KG_M3,
     ATMOSPHERE_PA,

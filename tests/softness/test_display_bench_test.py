@@ -10,8 +10,14 @@ from palpate.core import DeviceError, InputError, ManualClock, RangeError
 from palpate.softness import ConeDisplay
 from palpate.softness.display_bench_test import BenchPoint, BenchTest, IndentationPlan, run_bench_test
 from palpate.softness.display_parts import DisplaySensors
-from palpate.softness.virtual.indentation_bench import CLAMPED, PROBE, HeldProbe, virtual_bench_test
-from palpate.softness.virtual.rendering_bench import BenchParts, RenderingBench
+from palpate.softness.virtual.rendering_bench import (
+    CLAMPED,
+    PROBE,
+    BenchParts,
+    HeldProbe,
+    RenderingBench,
+    virtual_bench_test,
+)
 
 SHORT = IndentationPlan((10e3, 30e3), (3e-3, 6e-3, 9e-3), 10e-3, 0.2, 0.05)
 STATED = ConeDisplay(sleeve_n_m=20.0)

@@ -13,7 +13,7 @@ from tests.refusals import refused
 
 from palpate.calibration.compliance.press_cues import reading_record
 from palpate.core import InputError, PalpateError, RangeError, Reading, UnitError
-from palpate.mechanics.half_space.hertz_pairs import Body
+from palpate.mechanics.half_space.hertz import Body
 from palpate.softness import SoftObject, read_object
 
 FINGER = Body(75e3 / 0.75, 15e-3)

@@ -8,7 +8,7 @@ import pytest
 from tests.refusals import refused
 
 from palpate.core import DeviceError, DisplayRange, DisplaySample, InputError, ManualClock, RangeError
-from palpate.softness.pressure_response import PressureResponse, measure_pressure_response
+from palpate.softness.display_bench_test import PressureResponse, measure_pressure_response
 
 LAG_S, DELAY_S = 10e-3, 2e-3
 

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from tests.refusals import refused
 
 from palpate.core import RangeError
-from palpate.mechanics.half_space.hertz_pairs import Body
+from palpate.mechanics.half_space.hertz import Body
 from palpate.softness import (
     Characteristic,
     DisplayBounds,

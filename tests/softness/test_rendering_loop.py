@@ -9,15 +9,13 @@ from tests.refusals import refused
 
 from palpate.core import DeviceError, ManualClock, SafetyError
 from palpate.devices import OperatorControl
-from palpate.devices.haptic_proxies import ArmProxy, DisplayProxy
+from palpate.devices.device_proxies import ArmProxy, DisplayProxy
 from palpate.devices.motion_limits import Reason, Tripped
 from palpate.devices.operator_control import OperatorCommand, OperatorInterrupt
-from palpate.mechanics.half_space.hertz_pairs import Body
+from palpate.mechanics.half_space.hertz import Body
 from palpate.softness import Characteristic, Mode, SoftObject, hertz_object
-from palpate.softness.control.arm_servo import ArmServo, BenchState
-from palpate.softness.control.pressure_servo import PidServo
-from palpate.softness.control.reference_table import ReferenceTable
 from palpate.softness.control.rendering_loop import WISHED, RenderingLoop
+from palpate.softness.control.servos import ArmServo, BenchState, PidServo, ReferenceTable
 from palpate.softness.display_parts import Chamber
 from palpate.softness.pressing_finger import FingerPresses, depth_for
 from palpate.softness.rendering_simulation import Rendering, law_of, simulate

@@ -15,7 +15,7 @@ from palpate.core import DeviceError, InputError, RangeError, SafetyError
 from palpate.devices.supervisor import process_link
 from palpate.softness import Characteristic, Mode, SoftObject
 from palpate.softness.process import RenderingSession, read_bench
-from palpate.softness.process.rendering_messages import ObjectPieces, object_messages
+from palpate.softness.process.rendering_session import ObjectPieces, object_messages
 from palpate.stop_request import STOPPED, holders_of, stop_all
 
 BALL = SoftObject(

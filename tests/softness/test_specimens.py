@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from tests.refusals import refused
 
 from palpate.core import InputError, PalpateError, RangeError
-from palpate.mechanics.half_space.hertz_pairs import Body
+from palpate.mechanics.half_space.hertz import Body
 from palpate.mechanics.layers.bonded_layer import punch_force
 from palpate.softness import SpecimenClass, series_spread, specimen_object, specimens
 from palpate.softness.specimens import HEIGHT_M, RADIUS_M, plate_stiffness_n_m

@@ -15,19 +15,19 @@ from typer.testing import CliRunner
 from palpate.cli import app
 from palpate.core import InputError, RangeError
 from palpate.mechanics.fingertip_laws import hertz_fingertip
-from palpate.mechanics.half_space.hertz_pairs import Body
-from palpate.softness import read_object
+from palpate.mechanics.half_space.hertz import Body
+from palpate.softness import read_object, transmission
 from palpate.softness.rendering_simulation import simulate
 from palpate.softness.touched_flat import Cylinder, TouchedFlat, read_touched_flat
 from palpate.softness.transmission import (
     CueNoise,
     judged,
+    modulus_of_chord,
+    object_under,
     order_kept,
     shared_peak_n,
     transmit,
-    transmitted_cues,
 )
-from palpate.softness.transmission.transmitted_cues import modulus_of_chord, object_under
 
 FINGER = hertz_fingertip(Body(30e3 / 0.75, 15e-3))
 OFTEN = 3.0  # presses a second, whose renderings are short
@@ -46,8 +46,8 @@ def flat(kpa: float, below: float = 0.8, above: float = 1.3) -> TouchedFlat:
 def one_scored_press():
     """The second press is scored and none after it: what is felt of them is alike."""
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(transmitted_cues, "simulate", partial(simulate, presses=2))
-        patched.setattr(transmitted_cues, "FASTER", 1.6)  # of which the slowest press takes most of the time
+        patched.setattr(transmission, "simulate", partial(simulate, presses=2))
+        patched.setattr(transmission, "FASTER", 1.6)  # of which the slowest press takes most of the time
         yield
 
 
@@ -102,7 +102,7 @@ def test_what_is_felt_is_what_was_touched_within_the_display_s_error_and_softer_
 @pytest.fixture
 def one_frequency(monkeypatch):
     """A finger whose frequency is known."""
-    monkeypatch.setattr(transmitted_cues, "FASTER", 1.0001)
+    monkeypatch.setattr(transmission, "FASTER", 1.0001)
 
 
 @pytest.mark.slow

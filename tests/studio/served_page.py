@@ -25,7 +25,7 @@ from palpate.softness.process import read_bench
 from palpate.studio import page_limits
 from palpate.studio.library.workspace import Workspace
 from palpate.studio.page_server import StudioParts, serve_pages
-from palpate.studio.rendering_desk import RenderingDesk
+from palpate.studio.softness_page import RenderingDesk
 
 TOKEN = "test-token"
 PLAN = PLANS["palm-reduced"]

@@ -13,7 +13,7 @@ from tests.studio.page_driving import opened, serving
 from tests.studio.small_run import write_small_run
 
 from palpate.core.provenance import Provenance
-from palpate.recordings.run_notes import read_notes
+from palpate.recordings.manifest import read_notes
 
 pytestmark = pytest.mark.slow
 MAX_S = 60.0

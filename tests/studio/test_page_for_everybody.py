@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("nicegui", reason="NiceGUI is not installed")
 pytest.importorskip("websockets", reason="websockets is not installed")
 
-from palpate.studio import page_style
+from palpate.studio import page_shell
 
 AGES = {"force": 0.0, "position": 0.0, "camera": 0.0, "engine": None}
 BODY_TEXT, LARGE_TEXT = 4.5, 3.0
@@ -217,7 +217,7 @@ def test_text_stands_out_in_every_state_and_nothing_is_cut_off(browser, served, 
         tab.screenshot(tmp_path / f"{name}-{scheme}-{size[0]}.png")
         assert (tmp_path / f"{name}-{scheme}-{size[0]}.png").stat().st_size > 10_000
     # The measure itself: grey on the card's ground is told as too weak.
-    grey, colours = ("#555555", page_style.DARK) if scheme == "dark" else ("#aaaaaa", page_style.LIGHT)
+    grey, colours = ("#555555", page_shell.DARK) if scheme == "dark" else ("#aaaaaa", page_shell.LIGHT)
     tab.run(f"document.querySelector('#doing').innerHTML = '<b style=\"color:{grey}\">weak</b>'")
     told = min(one[1] for one in tab.run(CONTRASTS) if one[0] == "weak")
     assert told == pytest.approx(contrast(grey, colours["card"]), abs=0.05)

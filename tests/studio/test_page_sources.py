@@ -8,7 +8,7 @@ from tests.studio.small_run import write_small_run
 
 from palpate.core import InputError
 from palpate.studio.library.workspace import OutsideError, Workspace
-from palpate.studio.live.page_sources import check_devices, source_options
+from palpate.studio.live.live_desk import check_devices, source_options
 
 SERIAL = "9A3F21"
 

@@ -15,7 +15,7 @@ pytest.importorskip("websockets", reason="websockets is not installed")
 from tests.studio.test_page_security import Served
 
 from palpate.rig.service import RigService, open_served_rig
-from palpate.studio.shown_ages import MAX_FRESH_S, MAX_SILENT_S, PARTS, ages_at
+from palpate.studio.status_text import MAX_FRESH_S, MAX_SILENT_S, PARTS, ages_at
 
 MAX_S = 60.0
 

@@ -17,7 +17,7 @@ from palpate.studio.library.calibrations_page import heading_html
 from palpate.studio.library.recordings_page import runs_table
 from palpate.studio.library.workspace import Workspace
 from palpate.studio.rig_page import title_html
-from palpate.workflows.certificate_sentence import honest_sentence
+from palpate.workflows.certification import honest_sentence
 
 BADGE = "simulated, not measured"
 

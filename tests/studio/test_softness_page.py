@@ -21,8 +21,7 @@ from palpate.core import InputError
 from palpate.softness import Mode, RenderingLaw
 from palpate.softness.control import LoopSample
 from palpate.softness.process import RenderingStatus, read_bench
-from palpate.studio.rendering_desk import RenderingDesk
-from palpate.studio.softness_page import no_object_html
+from palpate.studio.softness_page import RenderingDesk, no_object_html
 
 LINE = """
 name = "{name}"

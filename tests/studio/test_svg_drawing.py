@@ -7,7 +7,7 @@ import pytest
 
 from palpate.core import Outline
 from palpate.rig.plans import PLANS, plan_from
-from palpate.studio import page_style, status_text, svg_drawing
+from palpate.studio import page_shell, status_text, svg_drawing
 
 SVG = "{http://www.w3.org/2000/svg}"
 PALM = Outline.disc(57e-3)
@@ -73,7 +73,7 @@ def test_places_are_done_in_the_plans_own_order():
 
 def test_nothing_on_the_page_comes_from_elsewhere():
     own = "http://${location.hostname}:${listener.port}/"
-    for text in (page_style.style(), page_style.text_of("estop.html").replace(own, "")):
+    for text in (page_shell.style(), page_shell.text_of("estop.html").replace(own, "")):
         assert not re.search(r"https?:|//[a-z]|@import|url\(", text)
 
 
@@ -84,5 +84,5 @@ def test_the_page_stops_over_the_path_and_with_the_header_that_are_answered():
     html = page_server.estop_html(8081, "x")
     assert f'"path": "{page_security.ESTOP_PATH}"' in html
     assert f'"{page_server.HEADER}": "estop"' in html
-    for what in re.findall(r'(?:stop|ask)\("([a-z-]+)"\)', page_style.text_of("estop.html")):
+    for what in re.findall(r'(?:stop|ask)\("([a-z-]+)"\)', page_shell.text_of("estop.html")):
         assert what in page_server.STOP_REQUESTS

@@ -17,8 +17,14 @@ from tests.studio.small_run import write_small_run
 
 from palpate.core import InputError, PalpateError
 from palpate.studio.library.background_jobs import BackgroundJobs
-from palpate.studio.library.file_routes import MAX_PX, SHEET_POLICY, add_library_routes
-from palpate.studio.library.workspace import OutsideError, SourceTreeError, Workspace
+from palpate.studio.library.workspace import (
+    MAX_PX,
+    SHEET_POLICY,
+    OutsideError,
+    SourceTreeError,
+    Workspace,
+    add_library_routes,
+)
 
 
 @pytest.fixture

@@ -26,7 +26,7 @@ from palpate.sensing.collection import learning_curve
 from palpate.sensing.collection.learning_curve import curve_of
 from palpate.sensing.collection.press_collector import REST, presses_in
 from palpate.workflows import stored_session
-from palpate.workflows.certificate_sentence import beats_the_mean, rate_beyond
+from palpate.workflows.certification import beats_the_mean, rate_beyond
 from palpate.workflows.press_feeds import VirtualFeed
 from palpate.workflows.start_session import StartSession
 from palpate.workflows.stored_session import STATE

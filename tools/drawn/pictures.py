@@ -17,7 +17,7 @@ from palpate.optics.colour import encode_srgb
 from palpate.reports.calibration_figures import ACCENT, BAND, INK
 from palpate.sensors import palm
 from palpate.sensors.palm import View, mirror_view as mirrors
-from palpate.sensors.palm.membrane_wear import Wear, worn
+from palpate.sensors.palm.membrane_faults import Wear, worn
 from palpate.sensors.palm.palm_press import depth_of_force, pressed
 from palpate.sensors.palm.palm_render import BACKGROUND
 

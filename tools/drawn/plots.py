@@ -14,7 +14,7 @@ from oracles.palm import GRID_MM
 from oracles.shortcuts import FARTHEST, baseline
 
 from drawn import RIM, SPEC, H, R, outer_labels, sheet
-from palpate.mechanics.axisymmetric.sphere_table import SphereTable, edge_correction, edge_reach
+from palpate.mechanics.axisymmetric.shape_table import SphereTable, edge_correction, edge_reach
 from palpate.mechanics.layers.bonded_layer import dimitriadis_factor, sphere_force
 from palpate.optics import round_rim
 from palpate.reports.calibration_figures import ACCENT, BAD, BAND, INK

@@ -23,24 +23,25 @@ AREAS: dict[str, tuple[int, dict[str, tuple[str, ...]]]] = {
         38,
         {
             "palpate.mechanics.half_space.adhesion": ("tests/mechanics/test_adhesion.py",),
-            "palpate.mechanics.layers.indenters": ("tests/mechanics/test_indenters.py",),
+            "palpate.mechanics.layers.contact_solver": (
+                "tests/mechanics/test_indenters.py",
+                "tests/mechanics/test_contact_solver.py",
+                "tests/mechanics/test_friction_solver.py",
+            ),
             "palpate.mechanics.half_space.hertz": (
                 "tests/laws/test_hertz.py",
                 "tests/mechanics/test_subsurface.py",
+                "tests/mechanics/test_hertz_pairs.py",
+                "tests/mechanics/test_partial_slip.py",
             ),
             "palpate.mechanics.layers.layer_stress": ("tests/mechanics/test_layer_stress.py",),
             "palpate.mechanics.layers.bonded_layer": ("tests/mechanics/test_bonded_layer.py",),
             "palpate.mechanics.half_space.subsurface": (
                 "tests/laws/test_line_integral.py",
                 "tests/mechanics/test_subsurface.py",
-            ),
-            "palpate.mechanics.half_space.hertz_pairs": ("tests/mechanics/test_hertz_pairs.py",),
-            "palpate.mechanics.half_space.tangential": ("tests/mechanics/test_partial_slip.py",),
-            "palpate.mechanics.half_space.point_loads": (
                 "tests/mechanics/test_point_loads.py",
-                "tests/mechanics/test_subsurface.py",
             ),
-            "palpate.mechanics.axisymmetric.sphere_table": (
+            "palpate.mechanics.axisymmetric.shape_table": (
                 "tests/mechanics/test_sphere_table.py",
                 "tests/mechanics/test_edge_correction.py",
             ),
@@ -49,42 +50,41 @@ AREAS: dict[str, tuple[int, dict[str, tuple[str, ...]]]] = {
                 "tests/mechanics/test_viscoelastic.py",
             ),
             "palpate.mechanics.axisymmetric.axisymmetric_fem": ("tests/mechanics/test_axisymmetric_fem.py",),
-            "palpate.mechanics.layers.contact_solver": (
-                "tests/mechanics/test_contact_solver.py",
-                "tests/mechanics/test_friction_solver.py",
-            ),
             "palpate.mechanics.half_space.sneddon": ("tests/mechanics/test_sneddon.py",),
             "palpate.mechanics.layers.stack": (
                 "tests/mechanics/test_stack.py",
                 "tests/mechanics/test_layer_stress.py",
             ),
-            "palpate.mechanics.layers.stack_field": ("tests/mechanics/test_stack_field.py",),
-            "palpate.mechanics.layers.stack_friction": ("tests/mechanics/test_stack_friction.py",),
+            "palpate.mechanics.layers.stack_friction": (
+                "tests/mechanics/test_stack_field.py",
+                "tests/mechanics/test_stack_friction.py",
+            ),
             "palpate.mechanics.layers.influence": (
                 "tests/mechanics/test_stack_field.py",
                 "tests/mechanics/test_contact_solver.py",
             ),
-            "palpate.mechanics.layers.surface_grid": ("tests/mechanics/test_stack_field.py",),
             "palpate.mechanics.axisymmetric.tilted_tip": (
                 "tests/mechanics/test_tilted_tip.py",
                 "tests/mechanics/test_friction_solver.py",
             ),
             "palpate.mechanics.axisymmetric.tip_table": ("tests/mechanics/test_tip_table.py",),
-            "palpate.mechanics.resultant": ("tests/mechanics/test_resultant.py",),
-            "palpate.optics.axisymmetric_march": ("tests/optics/test_axisymmetric_march.py",),
-            "palpate.optics.camera_response": (
+            "palpate.mechanics.probe_contact": ("tests/mechanics/test_resultant.py",),
+            "palpate.optics.march": (
+                "tests/optics/test_axisymmetric_march.py",
+                "tests/laws/test_polariscope.py",
+            ),
+            "palpate.optics.image_chain": (
                 "tests/optics/test_camera_response.py",
                 "tests/laws/test_noise.py",
+                "tests/optics/test_illumination.py",
             ),
             "palpate.optics.colour": ("tests/laws/test_colour.py",),
-            "palpate.optics.illumination": ("tests/optics/test_illumination.py",),
             "palpate.optics.march_kernels": ("tests/optics/test_compiled_march.py",),
-            "palpate.optics.march": ("tests/laws/test_polariscope.py",),
             "palpate.optics.polariscope": (
                 "tests/optics/test_polariscopes.py",
                 "tests/laws/test_polariscope.py",
+                "tests/optics/test_wall_refraction.py",
             ),
-            "palpate.optics.wall_refraction": ("tests/optics/test_wall_refraction.py",),
             "palpate.optics.axisymmetric_kernels": ("tests/optics/test_axisymmetric_march.py",),
             "palpate.optics.stress_optic": (
                 "tests/optics/test_stress_optic.py",
@@ -97,9 +97,11 @@ AREAS: dict[str, tuple[int, dict[str, tuple[str, ...]]]] = {
         {
             "palpate.core.units": ("tests/core/test_units.py",),
             "palpate.recordings.clock_offset": ("tests/recordings/test_clock_offset.py",),
-            "palpate.recordings.exchange.image_import": ("tests/recordings/test_import_images.py",),
+            "palpate.recordings.exchange.image_import": (
+                "tests/recordings/test_import_images.py",
+                "tests/recordings/test_import_press.py",
+            ),
             "palpate.sensors.palm.palm_import": ("tests/sensors/test_palm_import.py",),
-            "palpate.recordings.exchange.press_import": ("tests/recordings/test_import_press.py",),
             "palpate.recordings.label_tables": (
                 "tests/recordings/test_label_tables.py",
                 "tests/recordings/test_run_reader.py",
@@ -174,7 +176,7 @@ NAMED = (
         "dropped term",
     ),
     (
-        "palpate.mechanics.layers.indenters",
+        "palpate.mechanics.layers.contact_solver",
         "_turned",
         "return c * x + s * y, c * y - s * x",
         "return c * x - s * y, c * y + s * x",

@@ -16,9 +16,9 @@ from oracles import Oracle, relative
 from palpate.mechanics.half_space import hertz, sneddon
 from palpate.mechanics.half_space.adhesion import AdhesiveSphere
 from palpate.mechanics.half_space.hertz import secondary_stress
-from palpate.mechanics.half_space.point_loads import cerruti_stress
 from palpate.mechanics.half_space.subsurface import (
     centreline_stress,
+    cerruti_stress,
     greatest_shear,
     hertz_stress,
     line_integrated_stress,

@@ -11,14 +11,13 @@ from numpy import ndarray
 from scipy.linalg import expm
 
 from oracles import Oracle, each_relative
-from palpate.mechanics.half_space import hertz, tangential
+from palpate.mechanics.half_space import hertz
 from palpate.mechanics.half_space.subsurface import hertz_stress
-from palpate.mechanics.layers import indenters
+from palpate.mechanics.layers import contact_solver
 from palpate.mechanics.layers.bonded_layer import dimitriadis_force, sphere_force
 from palpate.mechanics.layers.contact_solver import StackContact, press_stack
 from palpate.mechanics.layers.stack import ElasticLayer, Stack, surface_compliance
-from palpate.mechanics.layers.stack_field import field_below
-from palpate.mechanics.layers.stack_friction import shear_stack
+from palpate.mechanics.layers.stack_friction import field_below, shear_stack
 
 R, E, NU = 5e-3, 0.3e6, 0.49
 PALM = Stack((ElasticLayer(10e-3, E, NU),))
@@ -83,7 +82,7 @@ def _rates(layer: ElasticLayer, k: float) -> ndarray:
 @lru_cache(maxsize=1)
 def _paraboloid() -> StackContact:
     x = np.linspace(-1.2 * CONTACT, 1.2 * CONTACT, 128)
-    return press_stack(ENDLESS, indenters.paraboloid(x, x, R), x, x, depth_m=DEPTH)
+    return press_stack(ENDLESS, contact_solver.paraboloid(x, x, R), x, x, depth_m=DEPTH)
 
 
 def pressed_half_space() -> float:
@@ -101,7 +100,7 @@ def pressed_layer() -> float:
     x = np.linspace(-4.5e-3, 4.5e-3, 128)
     errors = []
     for d in (0.5e-3, 1e-3, 1.5e-3):
-        found = press_stack(PALM, indenters.sphere(x, x, R), x, x, depth_m=d)
+        found = press_stack(PALM, contact_solver.sphere(x, x, R), x, x, depth_m=d)
         errors.append(abs(found.force_n / sphere_force(d, R, 10e-3, E, NU) - 1))
     return max(errors)
 
@@ -156,12 +155,12 @@ def sheared() -> float:
     """Shift of a sheared ball, nu = 0, against Mindlin."""
     x = np.linspace(-1.2 * CONTACT, 1.2 * CONTACT, 64)
     stack = Stack((ElasticLayer(math.inf, E, 0.0),), "half-space")
-    contact = press_stack(stack, indenters.paraboloid(x, x, R), x, x, depth_m=DEPTH)
+    contact = press_stack(stack, contact_solver.paraboloid(x, x, R), x, x, depth_m=DEPTH)
     errors = []
     for part in (0.2, 0.6, 0.9):
         pull = part * 0.6 * contact.force_n
         shift = shear_stack(contact, 0.6, force_n=(pull, 0.0)).shift_m[0]
-        stiffness = tangential.tangential_stiffness(CONTACT, E, 0.0)
+        stiffness = hertz.tangential_stiffness(CONTACT, E, 0.0)
         mindlin = 1.5 * 0.6 * contact.force_n / stiffness * (1 - (1 - part) ** (2 / 3))
         errors.append(abs(shift / mindlin - 1))
     return max(errors)

@@ -30,7 +30,7 @@ from palpate.optics import (
     spectral_to_linear,
     through,
 )
-from palpate.optics.camera_response import electrons
+from palpate.optics.image_chain import electrons
 from palpate.optics.march import march_even
 
 GREEN = np.array([550e-9])

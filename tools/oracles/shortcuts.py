@@ -17,7 +17,7 @@ from oracles.palm import GRID_MM, SMALL, inside
 from oracles.single_slice import best_path, single_slice, single_slice_error
 from oracles.tables import STUDY
 from palpate.core import Pose
-from palpate.mechanics.axisymmetric.sphere_table import SphereTable, edge_correction
+from palpate.mechanics.axisymmetric.shape_table import SphereTable, edge_correction
 from palpate.mechanics.half_space import hertz
 from palpate.mechanics.half_space.hertz import secondary_stress
 from palpate.mechanics.layers.bonded_layer import dimitriadis_factor

@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline, RegularGridInterpolator
 
 from oracles import Oracle
 from palpate.mechanics.axisymmetric.disc_table import TabulatedPress
-from palpate.mechanics.axisymmetric.sphere_table import OFF_CENTRE, SphereTable
+from palpate.mechanics.axisymmetric.shape_table import OFF_CENTRE, SphereTable
 from palpate.mechanics.layers.bonded_layer import sphere_force
 
 REPOSITORY = Path(__file__).resolve().parents[2]

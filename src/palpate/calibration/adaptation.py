@@ -54,16 +54,16 @@ from palpate.core import (
     storage_errors,
 )
 from palpate.estimators.certified import Estimator
-from palpate.estimators.finding_cards import CopyCard
+from palpate.estimators.class_sets import Outputs, TargetLayout
+from palpate.estimators.findings import CopyCard
 from palpate.estimators.guard import CopyDiscriminator
 from palpate.estimators.intervals import Intervals, intervals_of
 from palpate.estimators.model_card import Card, SplitCard
 from palpate.estimators.networks.model_interface import refuse_unfit
-from palpate.estimators.target_layout import Outputs, TargetLayout
 from palpate.recordings import PackedSet, Run, Split, pack, split
 from palpate.recordings.joined_runs import SENSOR, check_instruments, run_names
 from palpate.recordings.label_tables import targets_from
-from palpate.recordings.reference_instruments import ReferenceInstrument
+from palpate.recordings.manifest import ReferenceInstrument
 from palpate.recordings.splits import group_names
 
 COPY_FILE = "copy.npz"

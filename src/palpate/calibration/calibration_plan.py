@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from palpate.core import InputError, Lens, split_column
 from palpate.core.plugins import import_path_of
+from palpate.estimators.class_sets import FULL_TURN, TargetLayout, default_period
 from palpate.estimators.intervals import vector_column
-from palpate.estimators.target_layout import FULL_TURN, TargetLayout, default_period
-from palpate.recordings.reference_instruments import ReferenceInstrument
+from palpate.recordings.manifest import ReferenceInstrument
 
 if TYPE_CHECKING:
     from palpate.estimators.model_card import Card

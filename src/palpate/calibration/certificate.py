@@ -1,14 +1,21 @@
-"""Certificate of a calibration: a folder of model, novelty detector, card, predictions and pictures."""
+"""Certificate of a calibration: a folder of model, novelty detector, card, predictions and pictures.
+
+Calibrations as one file: nested dataclasses as flat plain arrays, without pickles; the id is that of the
+contents.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import platform
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields, is_dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from types import UnionType
+from typing import Any, TypeVar, get_args, get_type_hints
+from zipfile import BadZipFile
 
 import numpy as np
 import onnx
@@ -18,16 +25,34 @@ import pandas as pd
 from palpate.calibration.calibration_job import CalibrationJob
 from palpate.calibration.calibration_plan import CalibrationPlan
 from palpate.calibration.classes import HeldOutClasses
-from palpate.calibration.confounds.deciding_pixels import MAP_FILE, DecidingPixels
-from palpate.calibration.coverage.circular_scores import calibrated_arc, mean_of, uninformative_width
-from palpate.calibration.coverage.joint_regions import vector_cards
-from palpate.calibration.coverage.range_scores import range_cards
+from palpate.calibration.confounds.skin_region import MAP_FILE, DecidingPixels
+from palpate.calibration.coverage.conformal import vector_cards
+from palpate.calibration.coverage.range_scores import (
+    calibrated_arc,
+    mean_of,
+    range_cards,
+    uninformative_width,
+)
 from palpate.calibration.evaluation import score
 from palpate.calibration.leakage import LeakageAudit
-from palpate.core import CertificateError, Float, Indices, Values, new_folder, sha256_of, split_column
+from palpate.core import (
+    CertificateError,
+    Float,
+    Indices,
+    Values,
+    ndarray,
+    new_file,
+    new_folder,
+    sha256_of,
+    split_column,
+    storage_errors,
+)
+from palpate.core.array_files import MAX_ARRAY_BYTES, read_arrays
+from palpate.core.parsing import parser
 from palpate.estimators.card_ground import FileCard, RunCard
 from palpate.estimators.certified import CARD_FILE, checked_file
-from palpate.estimators.finding_cards import ChoiceCard, ConfoundCard, RobustnessCard, TrainingCard, TrialCard
+from palpate.estimators.class_sets import Outputs, TargetLayout
+from palpate.estimators.findings import ChoiceCard, ConfoundCard, RobustnessCard, TrainingCard, TrialCard
 from palpate.estimators.guard import NoveltyDetector
 from palpate.estimators.intervals import Intervals
 from palpate.estimators.model_card import (
@@ -46,12 +71,10 @@ from palpate.estimators.model_card import (
 from palpate.estimators.networks import settings_of
 from palpate.estimators.networks.model_interface import Chooses, Fitted, LearnsInSteps, TrainingData
 from palpate.estimators.reference_uncertainty import reference_half_width
-from palpate.estimators.target_layout import Outputs, TargetLayout
 from palpate.recordings import Run
 from palpate.recordings.exchange import image_files
-from palpate.recordings.label_tables import with_own
-from palpate.recordings.reference_instruments import ReferenceInstrument
-from palpate.recordings.table_files import read_table, write_table
+from palpate.recordings.label_tables import read_table, with_own, write_table
+from palpate.recordings.manifest import ReferenceInstrument
 from palpate.version import __version__
 
 
@@ -448,3 +471,85 @@ def split_card(result: CalibrationResult) -> SplitCard:
         findings=result.audit.findings,
         details=result.audit.to_dict(),
     )
+
+
+FLAT_FORMAT = 1
+Kept = TypeVar("Kept")
+
+
+def contents_id(record: Any, kind: str) -> str:
+    """Return the name by the contents: the kind, and 12 hexadecimal digits of their SHA-256."""
+    digest = hashlib.sha256()
+    for name, value in sorted(flat_arrays(record).items()):
+        digest.update(name.encode() + np.ascontiguousarray(value).tobytes())
+    return f"{kind}-{digest.hexdigest()[:12]}"
+
+
+def save_record(record: Any, path: Path) -> None:
+    """Write one ``.npz``, whole or not at all."""
+    with new_file(path) as building, building.open("wb") as file:
+        np.savez_compressed(file, **flat_arrays(record), format=np.array(FLAT_FORMAT))  # type: ignore[arg-type]
+
+
+@parser("calibration record", CertificateError, max_bytes=MAX_ARRAY_BYTES)
+def load_record(kind: type[Kept], path: Path, what: str, maker: str) -> Kept:
+    """Read what `save_record` wrote; no code in it is run.
+
+    Args:
+        what, maker: kind of calibration, and the command that makes one, for the message.
+    """
+    try:
+        with storage_errors(path):
+            data = read_arrays(path)
+        if (layout := int(data.pop("format"))) != FLAT_FORMAT:
+            raise CertificateError(
+                f"{path} has format {layout}, and palpate {__version__} reads format {FLAT_FORMAT}: open it "
+                "with the version of palpate that wrote it, or calibrate anew"
+            )
+        record = from_flat_arrays(kind, data)
+    except (KeyError, ValueError, TypeError, BadZipFile, EOFError) as e:
+        raise CertificateError(
+            f"{path} is no calibration of {what}, or a damaged one; `{maker}` makes them"
+        ) from e
+    assert isinstance(record, kind)
+    return record
+
+
+def flat_arrays(record: Any, prefix: str = "") -> dict[str, ndarray]:
+    """Return fields of nested dataclasses under their dotted names, without None."""
+    arrays: dict[str, ndarray] = {}
+    for field in fields(record):
+        value, name = getattr(record, field.name), prefix + field.name
+        if is_dataclass(value):
+            arrays |= flat_arrays(value, f"{name}.")
+        elif value is not None:
+            arrays[name] = np.asarray(value)
+    return arrays
+
+
+def from_flat_arrays(kind: type, data: Mapping[str, ndarray], prefix: str = "") -> Any:
+    """Restore the dataclass that `flat_arrays` took apart."""
+    values: dict[str, Any] = {}
+    for name, hint in get_type_hints(kind).items():
+        full, (inner, optional) = prefix + name, _plain(hint)
+        if optional and not any(key == full or key.startswith(f"{full}.") for key in data):
+            values[name] = None
+        elif is_dataclass(inner):
+            values[name] = from_flat_arrays(inner, data, f"{full}.")  # type: ignore[arg-type]
+        else:
+            values[name] = _value(data[full], inner)
+    return kind(**values)
+
+
+def _plain(hint: Any) -> tuple[Any, bool]:
+    """A type without its None, and whether it had one."""
+    if isinstance(hint, UnionType):
+        rest = [one for one in get_args(hint) if one is not type(None)]
+        return rest[0], len(rest) < len(get_args(hint))
+    return hint, False
+
+
+def _value(value: ndarray, kind: Any) -> Any:
+    if kind in (int, float, str):
+        return kind(value.item())
+    return tuple(value.tolist()) if getattr(kind, "__origin__", None) is tuple else value

@@ -10,19 +10,22 @@ import pandas as pd
 from palpate.calibration.calibration_job import rows_matching
 from palpate.calibration.calibration_plan import SESSION, ReferenceRule
 from palpate.calibration.classes import SEPARATOR, class_findings, known_codes, score_of_run, target_values
-from palpate.calibration.coverage.circular_scores import dispersion, shortest
-from palpate.calibration.coverage.counted_groups import ROW, counted_groups, press_column, press_groups
-from palpate.calibration.coverage.grouped_rates import grouped_coverage_interval
-from palpate.calibration.coverage.joint_regions import joint_score
-from palpate.calibration.coverage.range_scores import range_scores, target_findings
-from palpate.calibration.learnt_frames import LearntFrames, find_learnt_frames
+from palpate.calibration.coverage.conformal import joint_score
+from palpate.calibration.coverage.grouped_rates import (
+    ROW,
+    counted_groups,
+    grouped_coverage_interval,
+    press_column,
+    press_groups,
+)
+from palpate.calibration.coverage.range_scores import dispersion, range_scores, shortest, target_findings
+from palpate.calibration.near_copies import LearntFrames, find_learnt_frames
 from palpate.core import Bool, CertificateError, LabelError, Progress, Shaped, Values, half_width_text, silent
 from palpate.estimators.certified import Estimator, Zero
-from palpate.estimators.finding_cards import ValidScoreCard
+from palpate.estimators.findings import ValidScoreCard
 from palpate.estimators.intervals import intervals_of, layout_of, within
 from palpate.estimators.model_card import Card, ScoreCard, TargetCard, TenthCard
-from palpate.estimators.reading_rules import untold
-from palpate.estimators.reference_uncertainty import without_reference
+from palpate.estimators.reference_uncertainty import untold, without_reference
 from palpate.recordings import Run
 from palpate.recordings.joined_runs import JoinedRun, sessions_of
 from palpate.recordings.label_tables import own_column, with_own

@@ -24,10 +24,16 @@ import pandas as pd
 from palpate.calibration.calibration_job import CalibrationJob, table_to_learn
 from palpate.calibration.calibration_plan import CalibrationPlan, check_vector_names
 from palpate.calibration.certificate import CalibrationResult, intervals_by, scored_rows, write_certificate
-from palpate.calibration.classes import ClassLabels, class_labels, target_values, with_classes
-from palpate.calibration.classes.prediction_sets import check_learnable, held_out_classes
+from palpate.calibration.classes import (
+    ClassLabels,
+    check_learnable,
+    class_labels,
+    held_out_classes,
+    target_values,
+    with_classes,
+)
 from palpate.calibration.confounds.confound_audit import audit_confounds
-from palpate.calibration.coverage.circular_scores import refuse_no_angles
+from palpate.calibration.coverage.range_scores import refuse_no_angles
 from palpate.calibration.fold_fits import (
     FoldFits,
     ScoredModel,

@@ -12,7 +12,7 @@ from scipy.stats import ks_2samp
 
 from palpate.calibration.calibration_job import CalibrationJob
 from palpate.calibration.calibration_plan import CalibrationPlan
-from palpate.calibration.confounds.deciding_pixels import (
+from palpate.calibration.confounds.skin_region import (
     DecidingPixels,
     deciding_pixels,
     mean_input,
@@ -23,10 +23,10 @@ from palpate.core.array_files import MAX_ARRAY_BYTES
 from palpate.core.errors import CertificateError
 from palpate.core.parsing import parser
 from palpate.core.plugins import ERROR, plugin_calls
+from palpate.estimators.class_sets import Outputs
 from palpate.estimators.networks import MODELS, model_kind
 from palpate.estimators.networks.distributed import ProcessGroup
 from palpate.estimators.networks.model_interface import Fitted, Model, TimeBoxed, predict_rows, refuse_unfit
-from palpate.estimators.target_layout import Outputs
 from palpate.recordings import Split
 
 

@@ -21,7 +21,7 @@ from palpate.core import Float, InputError, Progress, RangeError, ndarray, sha25
 from palpate.estimators.field_order import fit_field
 from palpate.estimators.fringe_light import Polariscope
 from palpate.estimators.fringe_order import SCAN_ORDER, OrderFit, fit_orders
-from palpate.mechanics.disc_stress import disc_difference
+from palpate.mechanics.probe_contact import disc_difference
 from palpate.optics.colour import Tone
 from palpate.version import __version__
 

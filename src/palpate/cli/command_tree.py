@@ -25,7 +25,7 @@ CALIBRATE = Kinds(
         "image": "palpate.cli.calibrate.calibrate_verbs:calibrate",
         "palm-unit": "palpate.cli.sense.palm_verbs:fit",
         "palm-known": "palpate.cli.sense.palm_verbs:known",
-        "tip-unit": "palpate.cli.sense.tip_copy_verbs:calibrate",
+        "tip-unit": "palpate.cli.sense.tip_verbs:calibrate",
         "tip-pose": "palpate.cli.sense.tip_verbs:fit",
         "shear-force": "palpate.cli.calibrate.shear_calibration_verbs:fit",
         "compliance": "palpate.cli.sense.compliance_verbs:calibrate",
@@ -38,7 +38,7 @@ READ = Kinds(
     {
         "image": "palpate.cli.calibrate.calibrate_verbs:read",
         "palm-unit": "palpate.cli.sense.palm_verbs:read",
-        "tip-unit": "palpate.cli.sense.tip_copy_verbs:force",
+        "tip-unit": "palpate.cli.sense.tip_verbs:force",
         "tip-pose": "palpate.cli.sense.tip_verbs:read",
         "shear-force": "palpate.cli.sense.shear_verbs:shear",
         "compliance": "palpate.cli.sense.compliance_verbs:read",
@@ -50,7 +50,7 @@ CHECK_WEIGHT = Kinds(
     "Check a calibration by a known weight.",
     {
         "palm-unit": "palpate.cli.sense.palm_verbs:weigh",
-        "tip-unit": "palpate.cli.sense.tip_copy_verbs:weigh",
+        "tip-unit": "palpate.cli.sense.tip_verbs:weigh",
         "shear-force": "palpate.cli.calibrate.shear_calibration_verbs:weigh",
     },
     by_calibration,
@@ -90,8 +90,8 @@ TRANSMIT = words_of(
 OPTICS = Kinds(
     "Light, stress and what a material makes of them.",
     {
-        "fringe-order": "palpate.cli.sense.fringe_verbs:fringe_order",
-        "colour-table": "palpate.cli.sense.fringe_verbs:colour_table",
+        "fringe-order": "palpate.cli.sense.optics_verbs:fringe_order",
+        "colour-table": "palpate.cli.sense.optics_verbs:colour_table",
         "fit-c": "palpate.cli.sense.optics_verbs:fit_c",
     },
     by_word,
@@ -116,7 +116,7 @@ HEADINGS: dict[str, dict[str, str | Kinds]] = {
         "collect": "record.start_verbs:collect",
         "plan": "record.rig_verbs:plan_app",
         "record": "record.rig_verbs:record",
-        "rig": "record.rig_hand_verbs:rig_app",
+        "rig": "record.rig_verbs:rig_app",
         "studio": "study.study_verbs:studio",
         "import": IMPORT,
         "check": "record.recording_verbs:check",
@@ -133,8 +133,8 @@ HEADINGS: dict[str, dict[str, str | Kinds]] = {
     },
     "Sense": {
         "live": "sense.live_verbs:live",
-        "cameras": "sense.machine_verbs:cameras",
-        "doctor": "sense.machine_verbs:doctor",
+        "cameras": "sense.preset_verbs:cameras",
+        "doctor": "sense.preset_verbs:doctor",
         "sensors": "sense.preset_verbs:app",
         "read": READ,
         "compliance": COMPLIANCE,

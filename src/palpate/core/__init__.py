@@ -1,8 +1,20 @@
 """The nouns that every room speaks in: shapes, units, errors, the clock, files."""
 
-from palpate.core.class_reading import ClassReading
 from palpate.core.clock import NS_PER_S, Clock, ManualClock, MonotonicClock
-from palpate.core.contact import FRESH, Contact, ContactSolution, EarlierPress, Pose, PressHistory, Probe
+from palpate.core.contact import (
+    FRESH,
+    RIGID,
+    UNTOLD,
+    WORDS_OF_SPECIMENS,
+    Contact,
+    ContactSolution,
+    EarlierPress,
+    Outline,
+    Pose,
+    PressHistory,
+    Probe,
+    Specimen,
+)
 from palpate.core.device_protocols import (
     ArmRange,
     ArmSample,
@@ -56,10 +68,10 @@ from palpate.core.files import (
 from palpate.core.frame import Frame
 from palpate.core.lens import Lens, LensModel
 from palpate.core.long_work import Progress, ProgressCount, in_parallel, silent
-from palpate.core.outline import Outline
 from palpate.core.reading import (
     AlignedBox,
     CircularReading,
+    ClassReading,
     Drift,
     Ellipsoid,
     MeasurementResult,
@@ -102,7 +114,6 @@ from palpate.core.shapes import (
     Values,
     ndarray,
 )
-from palpate.core.specimen import RIGID, UNTOLD, WORDS_OF_SPECIMENS, Specimen
 from palpate.core.units import (
     UNITS,
     Unit,

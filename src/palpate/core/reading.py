@@ -2,15 +2,20 @@
 
 Each kind says what its coverage is a rate of, and its `contains` is the event that is counted. All carry what
 `MeasurementResult` holds; `Readings` are those of one frame.
+
+Class of what was touched, read from one frame, with the set of classes that the frame leaves open.
+
+Reason why a reading is not valid: a code for programs, a sentence for people.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from enum import StrEnum
 from html import escape
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -440,3 +445,120 @@ def provenance(of: MeasurementResult) -> dict[str, Any]:
 def _plain(array: Any) -> Any:
     """Nested lists of plain numbers; None where there is none."""
     return [_plain(part) if np.ndim(part) else plain_number(float(part)) for part in array]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+class ClassReading(MeasurementResult):
+    """One class of several, or one count; the coverage is that of the set, in each class by itself.
+
+    It has no unit, and its `quantity` is the label column.
+
+    Attributes:
+        value: the likeliest class; empty where nothing was read.
+        members: the prediction set, in the order of `classes`; it holds the true class at the rate `coverage`
+            whichever class that is.
+        classes: all that were calibrated.
+    """
+
+    _WITH_UNIT: ClassVar[tuple[str, ...]] = ()
+
+    value: str
+    members: tuple[str, ...]
+    classes: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        if strangers := {*self.members, self.value} - {*self.classes, ""}:
+            raise InputError(
+                f"{self.quantity}: {', '.join(sorted(strangers))} is none of the classes "
+                f"{', '.join(self.classes)}"
+            )
+
+    @property
+    def column(self) -> str:
+        """The label column, which carries no unit."""
+        return self.quantity
+
+    @property
+    def verdict(self) -> str:
+        """Verdict in words: may it be used, and why not."""
+        told = "told" if len(self.members) == 1 else "narrowed down"
+        return told if self.valid else self.why
+
+    def in_unit(self, symbol: str) -> ClassReading:
+        """The same reading; a class has no unit."""
+        if symbol != self.unit:
+            raise UnitError(f"{self.quantity} is a class, which cannot be shown in {symbol}")
+        return self
+
+    def contains(self, truth: str) -> bool:
+        """True where a class is in the set."""
+        return truth in self.members
+
+    def _numbers(self) -> dict[str, Any]:
+        return {"value": self.value or None, "set": list(self.members), "classes": list(self.classes)}
+
+    def __str__(self) -> str:
+        return f"{self.quantity} {self.value or '-'}, set {{{', '.join(self.members)}}}, {self.verdict}"
+
+
+class ReasonCode(StrEnum):
+    """Codes of invalid readings in JSON; the last ones are of presses on an object."""
+
+    UNREADABLE = "unreadable_frame"
+    IMAGE_SIZE = "image_size"
+    GRAY_IMAGE = "gray_image"
+    NO_REFERENCE_IMAGE = "no_reference_image"
+    OUT_OF_DISTRIBUTION = "out_of_distribution"
+    FORMER_UNIT = "former_unit"
+    NOT_LEARNED = "not_learned"
+    UNDETERMINED = "undetermined"
+    OUTSIDE_RANGE = "outside_range"
+    INTERVAL_OUTSIDE_RANGE = "interval_outside_range"
+    NO_CLASS = "no_class"
+    ALL_CLASSES = "all_classes"
+    CLASS_NOT_IN_SET = "class_not_in_set"
+    FLAWED_PRESS = "flawed_press"
+    DRIFTED = "drifted"
+    SPEED = "speed_outside_range"
+    REPEATED_FRAMES = "repeated_frames"
+    OFF_CENTER = "off_center"
+    CUES_DISAGREE = "cues_disagree"
+    TWO_REFERENCES = "two_references"
+    CURVED = "curved_object"
+    TOO_STIFF = "too_stiff"
+    INCLINED = "inclined"
+    NOT_HERTZ = "not_hertz"
+    SHAPE_OUTSIDE_RANGE = "shape_outside_range"
+
+
+OF_ALL_FRAMES = frozenset({ReasonCode.IMAGE_SIZE, ReasonCode.NO_REFERENCE_IMAGE})
+"""Codes that hold for every frame of a source alike until the source or the reference image changes."""
+
+
+class Refusal(NamedTuple):
+    """Reason of an invalid reading; false where there is none.
+
+    Attributes:
+        code: machine-readable, such as ``camera_moved``.
+        why: the same in words.
+    """
+
+    code: str = ""
+    why: str = ""
+
+    def __bool__(self) -> bool:
+        return bool(self.code)
+
+
+NONE = Refusal()
+SEPARATOR = "; "  # between the reasons of one reading
+
+
+def joined(reasons: Iterable[Refusal]) -> dict[str, str | bool]:
+    """Return the fields `valid`, `why`, and `code` of a reading; each text and each code occurs once."""
+    listed = list(reasons)
+    return {
+        "valid": not listed,
+        "why": SEPARATOR.join(dict.fromkeys(one.why for one in listed)),
+        "code": SEPARATOR.join(dict.fromkeys(str(one.code) for one in listed)),
+    }

@@ -10,12 +10,10 @@ from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from numpy import ndarray
 
-from palpate.core.contact import FRESH, Contact, Pose, PressHistory, Probe
+from palpate.core.contact import FRESH, Contact, Outline, Pose, PressHistory, Probe, Specimen
 from palpate.core.frame import Frame
-from palpate.core.outline import Outline
 from palpate.core.plugins import PluginRegistry
 from palpate.core.shapes import Float
-from palpate.core.specimen import Specimen
 
 Box = tuple[int, int, int, int]
 """x, y, width, height [px]."""

@@ -2,6 +2,8 @@
 
 The engine uses them as it uses any other device: nothing is taken from it, delayed or changed, but that an
 error of a driver's own becomes a `DeviceError`, and a force that is no number a faulty sample.
+
+Proxies of a contact-area display and a haptic arm, which the same emergency stop holds as a stage.
 """
 
 from __future__ import annotations
@@ -17,13 +19,19 @@ from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 
 from palpate.core import (
     NS_PER_S,
+    ArmRange,
+    ArmSample,
     Clock,
     DeviceError,
+    DisplayRange,
+    DisplaySample,
     ForceSensor,
     Frame,
     FrameSource,
+    HapticArm,
     PalpateError,
     Position,
+    SoftnessDevice,
     Stage,
     Travel,
     Wrench,
@@ -352,3 +360,57 @@ def _plain(sample: Wrench) -> Wrench:
     if sample.fault or all(math.isfinite(value) for value in (*sample.force_n, *sample.torque_nm)):
         return sample
     return replace(sample, fault="a force or torque that is not a number")
+
+
+DISPLAY_FAILED = "the display's driver failed"
+ARM_FAILED = "the arm's driver failed"
+
+
+class DisplayProxy(HeldProxy[SoftnessDevice]):
+    """Implements `core.SoftnessDevice`; after an emergency stop it is vented, and stays so until released."""
+
+    @property
+    def range(self) -> DisplayRange:
+        """Shape, greatest pressure and watchdog."""
+        return self._inner.range
+
+    def latest(self) -> DisplaySample:
+        with self._noting_errors(), driver_errors(DISPLAY_FAILED):
+            return self._inner.latest()
+
+    def set_pressure(self, pressure_pa: float, rate_pa_s: float = 0.0) -> None:
+        """Hold a pressure, unless it is held."""
+        with self._ordering(), driver_errors(DISPLAY_FAILED):
+            self._inner.set_pressure(pressure_pa, rate_pa_s)
+
+    def vent(self) -> None:
+        """Open the chamber to the air."""
+        with self._noting_errors(), driver_errors(DISPLAY_FAILED):
+            self._inner.vent()
+
+    make_safe = vent
+
+
+class ArmProxy(HeldProxy[HapticArm]):
+    """Implements `core.HapticArm`; after an emergency stop it brakes, and goes on to until released."""
+
+    @property
+    def range(self) -> ArmRange:
+        """Reach, greatest force and watchdog."""
+        return self._inner.range
+
+    def latest(self) -> ArmSample:
+        with self._noting_errors(), driver_errors(ARM_FAILED):
+            return self._inner.latest()
+
+    def set_force(self, force_n: float) -> None:
+        """Push with a force, unless it is held."""
+        with self._ordering(), driver_errors(ARM_FAILED):
+            self._inner.set_force(force_n)
+
+    def brake(self) -> None:
+        """Drop the force and brake."""
+        with self._noting_errors(), driver_errors(ARM_FAILED):
+            self._inner.brake()
+
+    make_safe = brake

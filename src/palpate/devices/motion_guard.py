@@ -18,8 +18,7 @@ from palpate.core import NS_PER_S, Clock, DeviceError, HardwareStopError, Positi
 from palpate.devices.device_proxies import Actuator, ForceSource, PlainActuator, PlainForceSource
 from palpate.devices.force_bias import Force, ForceBias
 from palpate.devices.force_trust import Doubt, ForceMonitor, Phase, StiffnessRange, name_fault
-from palpate.devices.force_watch import ForceWatch
-from palpate.devices.motion_limits import Limits, Reason, Tripped
+from palpate.devices.motion_limits import ForceWatch, Limits, Reason, Tripped
 from palpate.devices.operator_control import AT_ONCE, OperatorCommand, OperatorControl
 
 POLL_S = 0.002  # between two looks at the force while something moves

@@ -18,8 +18,7 @@ from typing import Any
 
 from palpate.core import DeviceError, InputError, PalpateError, ProtocolError
 from palpate.core.failure_log import record_failure, report_to_stderr
-from palpate.devices.rpc import ASKED_BYTES, Lines, decode_message, encode_message
-from palpate.devices.rpc_admission import MAX_TOKEN_BYTES, Admission
+from palpate.devices.rpc import ASKED_BYTES, MAX_TOKEN_BYTES, Admission, Lines, decode_message, encode_message
 
 MAX_REPLIES = 1000  # that a client may leave unread
 

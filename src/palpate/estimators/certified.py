@@ -34,16 +34,14 @@ from palpate.core import (
     unit,
 )
 from palpate.core.parsing import parser
-from palpate.core.refusal import NONE, ReasonCode, Refusal
+from palpate.core.reading import NONE, ReasonCode, Refusal
 from palpate.estimators.admission import admit_model
 from palpate.estimators.card_ground import FileCard, sealed_from
-from palpate.estimators.class_sets import class_count, class_readings
+from palpate.estimators.class_sets import Outputs, class_count, class_readings
 from palpate.estimators.guard import CopyDiscriminator, NoveltyDetector, Verdict
 from palpate.estimators.intervals import intervals_of, layout_of, vector_reading
 from palpate.estimators.model_card import FORMAT, Card, TargetCard
-from palpate.estimators.reading_rules import doubt
-from palpate.estimators.reference_uncertainty import with_reference
-from palpate.estimators.target_layout import Outputs
+from palpate.estimators.reference_uncertainty import doubt, with_reference
 from palpate.recordings.exchange.image_files import opencv_image
 
 CARD_FILE = "card.json"

@@ -3,15 +3,18 @@
     S_c(N) = sum_k w_kc sin^2(pi N l0 C(l_k) / (l_k C(l0)))
 
 between crossed polarizers, one minus that between parallel ones. The curves of lamp and camera are assumed.
+
+The brightest colour of every pixel, as most estimators of coloured patterns begin with it.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import reduce
 
 import numpy as np
 
-from palpate.core import Float, RangeError, ndarray
+from palpate.core import Float, RangeError, Shaped, ndarray
 from palpate.optics.colour import Spectrum, assumed_camera
 from palpate.optics.stress_optic import StressOpticLaw
 
@@ -110,3 +113,10 @@ def tungsten(temperature_k: float = 2856.0) -> Polariscope:
     weight = flat.weight * planck[:, None]
     spectrum = Spectrum(wavelength, weight / weight.sum(axis=0))
     return Polariscope(spectrum, WHITE_REFERENCE_M, f"tungsten at {temperature_k:g} K, assumed curves")
+
+
+def brightest_channel(image: Shaped[ndarray, ...]) -> Shaped[ndarray, "h w"]:
+    """Return the greatest channel of every pixel; an image ``[h w]`` is returned as it is."""
+    if image.ndim == 2:
+        return np.ascontiguousarray(image)
+    return np.asarray(reduce(np.maximum, np.moveaxis(image, 2, 0)))

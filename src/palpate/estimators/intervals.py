@@ -20,9 +20,9 @@ from palpate.core import (
     split_column,
 )
 from palpate.core.reading import Ellipsoid, provenance
-from palpate.estimators.joint_reach import joint_reach
+from palpate.estimators.class_sets import Outputs, TargetLayout
 from palpate.estimators.model_card import Card, CellsCard, InstrumentCard, TargetCard, VectorCard
-from palpate.estimators.target_layout import Outputs, TargetLayout
+from palpate.estimators.reading_steps import joint_reach
 
 Row = Float[np.ndarray, " n"]
 
@@ -69,7 +69,7 @@ class RangeIntervals:
     Algorithmic Learning in a Random World, 2005, ch. 4.5, doi:10.1007/b106715); cells of estimates likewise
     (Mondrian conformal regression: H. Boström and U. Johansson, Proc. Mach. Learn. Res. 128, 114 (2020)). The
     interval is the smallest that holds both and the one of constant width. Bands come from
-    `calibration.coverage.range_fit`.
+    `calibration.coverage.conformal`.
     """
 
     by_truth: ErrorCells
@@ -303,20 +303,3 @@ def vector_column(name: str, parts: Sequence[str], targets: Sequence[str]) -> st
             f"vector {name}: {column} is a target already; choose another name", code="name-taken"
         )
     return column
-
-
-__all__ = [
-    "ErrorCells",
-    "ErrorSpread",
-    "Intervals",
-    "RangeIntervals",
-    "Row",
-    "component_names",
-    "design",
-    "intervals_of",
-    "layout_of",
-    "mahalanobis",
-    "vector_column",
-    "vector_reading",
-    "within",
-]

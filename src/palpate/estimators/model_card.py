@@ -11,16 +11,16 @@ from pydantic import Field, model_validator
 from palpate.core import InputError, Lens, LensModel
 from palpate.estimators.card_ground import CardPart, FileCard, RunCard, SealedCard, card_id
 from palpate.estimators.class_sets import ClassCard
-from palpate.estimators.finding_cards import (
+from palpate.estimators.findings import (
     ChoiceCard,
     ConfoundCard,
     CopyCard,
+    Finding,
     IntervalResetCard,
     RobustnessCard,
     SessionsCard,
     TrainingCard,
 )
-from palpate.estimators.findings import Finding
 from palpate.estimators.reading_steps import StepsCard, reading_steps
 from palpate.recordings.preparation import Preparation
 

@@ -19,8 +19,14 @@ from scipy.spatial import cKDTree
 
 from palpate.core import Bool, Float, ImageError, InputError, Int, RangeError, Shaped, UInt8, ndarray
 from palpate.estimators.lattice.dotted_skin import round_patches
-from palpate.estimators.lattice.pin_lattice import PinLattice, name_pins
-from palpate.estimators.lattice.ring_layout import MAX_RINGS, WITHIN, empty_sites, ring_of
+from palpate.estimators.lattice.ring_layout import (
+    MAX_RINGS,
+    WITHIN,
+    PinLattice,
+    empty_sites,
+    name_pins,
+    ring_of,
+)
 
 ROUNDS = 6  # of looking around where it was found
 STILL_PX = 0.005

@@ -2,17 +2,35 @@
 
 A test runs the reader on the page `read-without-palpate.md` against the package. Changed steps need another
 rule.
+
+The reach of errors together: how far several independent normal ones go, beside one alone.
 """
 
 from __future__ import annotations
 
+from functools import cache
 from typing import TYPE_CHECKING
 
 from palpate.estimators.card_ground import CardPart
-from palpate.estimators.joint_reach import joint_reach
 
 if TYPE_CHECKING:
     from palpate.estimators.model_card import Card, CircularCard, InputCard, TargetCard
+
+
+@cache
+def joint_reach(components: int, coverage: float) -> float:
+    """Return the radius of the ball that holds several standard normal errors with a coverage.
+
+    It is the quantile of the chi distribution (JCGM 102:2011, doi:10.59161/JCGM102-2011).
+
+    Example:
+        >>> [round(joint_reach(k, 0.9), 4) for k in (1, 2, 3)]
+        [1.6449, 2.146, 2.5003]
+    """
+    from scipy.special import chdtri  # here, since few cards need it, and sensing starts without scipy
+
+    return float(chdtri(components, 1 - coverage)) ** 0.5
+
 
 RULE, RULE_OF_INSTRUMENTS, RULE_OF_LENSES = "palpate-steps/1", "palpate-steps/2", "palpate-steps/3"
 """The second is that of cards whose labels' instruments widen readings: of such, the first joined the

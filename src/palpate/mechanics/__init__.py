@@ -4,7 +4,7 @@ Errors of this package: `InputError` for a wrong kind, shape, or non-finite valu
 outside a law's or table's range, which the message names.
 """
 
-from palpate.mechanics.axisymmetric.sphere_table import (
+from palpate.mechanics.axisymmetric.shape_table import (
     EdgeCorrection,
     SphereTable,
     edge_correction,

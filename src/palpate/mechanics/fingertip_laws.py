@@ -24,8 +24,7 @@ from scipy.optimize import brentq
 
 from palpate.core import Float, RangeError, ndarray
 from palpate.mechanics.axisymmetric.tip_table import tip_table
-from palpate.mechanics.half_space.hertz import MAX_SLOPE, positive
-from palpate.mechanics.half_space.hertz_pairs import Body
+from palpate.mechanics.half_space.hertz import MAX_SLOPE, Body, positive
 
 EXPONENTIAL_TO_N = 2.0  # maximum force of Pawluk and Howe's presses
 HERTZ_EXPONENT = 2 / 3  # exponent of area over force

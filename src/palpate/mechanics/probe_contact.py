@@ -2,18 +2,42 @@
 
 Between `LIGHT` and three times that depth force, area, pressure, surface, and stress are blended; they differ
 by 2 % in force there. In the probe's frame x points along its length, y across, z into the layer.
+
+Resultant of a contact's tractions: three forces and three moments about one point.
+
+Stress of a disc pressed across its diameter, in closed form.
+
+Two opposite point loads P along y at (0, R) and (0, -R), plane stress, thickness t. With a = R - y, b = R +
+y, p = x^2 + a^2, q = x^2 + b^2,
+
+    s_xx = -2P/(pi t) (a x^2 / p^2 + b x^2 / q^2 - 1/2R)
+    s_yy = -2P/(pi t) (a^3 / p^2 + b^3 / q^2 - 1/2R)
+    s_xy =  2P/(pi t) (a^2 x / p^2 - b^2 x / q^2).
+
+Reference: S. Timoshenko and J. N. Goodier, Theory of Elasticity, 3rd ed. (1970), art. 41.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from palpate.core import Contact, ContactSolution, Field, Float, Mask, Pose, Probe, RangeError, ndarray
-from palpate.mechanics.layers.influence import normal_influence
+from palpate.core import (
+    Contact,
+    ContactSolution,
+    Field,
+    Float,
+    InputError,
+    Mask,
+    Pose,
+    Probe,
+    RangeError,
+    ndarray,
+)
+from palpate.mechanics.layers.influence import Cells, cells, laid_onto, normal_influence
 from palpate.mechanics.layers.stack import ElasticLayer, Stack
-from palpate.mechanics.layers.surface_grid import Cells, laid_onto
 from palpate.mechanics.light_touch import MAX_LIGHT, RoundedBody, light_law, light_touch
 from palpate.mechanics.probe_table import SAME, ProbeTable, own_frame
 
@@ -154,3 +178,55 @@ def _check_within(touching: Mask, x_m: ndarray, y_m: ndarray, radius_m: float) -
             f"{radius_m * 1e3:g} mm; press nearer to the middle",
             code="contact-over-rim",
         )
+
+
+class Resultant(NamedTuple):
+    """Force and moment of the probe on the surface, in the sensor's frame.
+
+    Attributes:
+        force_x_n, force_y_n, force_z_n: Force, z into the surface [N].
+        moment_x_nm, moment_y_nm, moment_z_nm: Right-handed moments about the point [N m].
+    """
+
+    force_x_n: float
+    force_y_n: float
+    force_z_n: float
+    moment_x_nm: float
+    moment_y_nm: float
+    moment_z_nm: float
+
+
+def resultant_of(contact: Contact, about_m: tuple[float, float] = (0.0, 0.0)) -> Resultant:
+    """Return the resultant about a point (x, y) of the rest surface [m], by default the membrane's centre."""
+    if not all(map(math.isfinite, about_m)):
+        raise InputError(f"moments about {about_m} m; give two finite numbers in m, x and y")
+    cell = cells(contact.x_m, contact.y_m).area_m2
+    x, y = contact.x_m - about_m[0], (contact.y_m - about_m[1])[:, None]
+    p = contact.pressure_pa
+    q_x, q_y = np.zeros((2, *p.shape)) if contact.shear_pa is None else contact.shear_pa
+    parts = (q_x, q_y, p, y * p, -x * p, x * q_y - y * q_x)
+    return Resultant(*(float(part.sum()) * cell for part in parts))
+
+
+Points = Float[ndarray, "*n"]
+
+
+def disc_stress(x: Points, y: Points) -> tuple[Points, Points, Points]:
+    """Return s_xx, s_yy, s_xy of a disc of radius 1 loaded at y = 1 and -1, in units of P / (pi R t).
+
+    NaN outside the disc and at the loads; 1, -3, 0 at the centre.
+    """
+    a, b = 1 - y, 1 + y
+    inside = (x**2 + y**2 <= 1) & (x**2 + (1 - np.abs(y)) ** 2 > 0)
+    p, q = (np.where(inside, x**2 + s**2, np.nan) ** 2 for s in (a, b))
+    return (
+        np.asarray(1 - 2 * x**2 * (a / p + b / q)),
+        np.asarray(1 - 2 * (a**3 / p + b**3 / q)),
+        np.asarray(2 * x * (a**2 / p - b**2 / q)),
+    )
+
+
+def disc_difference(x: Points, y: Points) -> tuple[Points, Points]:
+    """Return s1 - s2 over that of the centre, 8 P / (pi D t), and the angle of s1 from x towards y [rad]."""
+    xx, yy, xy = disc_stress(x, y)
+    return np.hypot(xx - yy, 2 * xy) / 4, np.arctan2(2 * xy, xx - yy) / 2

@@ -4,36 +4,42 @@ Errors of this package: `InputError` for shapes that do not fit and values that 
 for values outside their range.
 """
 
-from palpate.optics.axisymmetric_march import (
-    AxisymmetricField,
-    MarchedRays,
-    Rays,
-    march_axisymmetric,
-)
-from palpate.optics.camera_response import (
+from palpate.optics.colour import Spectrum, assumed_camera, encode_srgb, spectral_to_linear
+from palpate.optics.image_chain import (
     CameraResponse,
+    LedStrip,
+    backlight,
     develop,
     electrons,
     quantise,
     raw_codes,
+    strip_light,
     uneven_light,
 )
-from palpate.optics.colour import Spectrum, assumed_camera, encode_srgb, spectral_to_linear
-from palpate.optics.compiled_march import march_colour, march_spectral
-from palpate.optics.illumination import LedStrip, backlight, strip_light
-from palpate.optics.march import Retarder, graded_slices, march
+from palpate.optics.march import (
+    AxisymmetricField,
+    MarchedRays,
+    Rays,
+    Retarder,
+    graded_slices,
+    march,
+    march_axisymmetric,
+    march_colour,
+    march_spectral,
+)
 from palpate.optics.polariscope import (
+    ColumnRays,
     circular_amplitude,
     circular_dark_field,
     dark_field,
     linear_retarder,
     plane_amplitude,
+    round_rim,
     single_retarder,
     through,
     with_leak,
 )
 from palpate.optics.stress_optic import StressOpticLaw, fringe_order, frozen_stress, stress_axis
-from palpate.optics.wall_refraction import ColumnRays, round_rim
 
 __all__ = [
     "AxisymmetricField",

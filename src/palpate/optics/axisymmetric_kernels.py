@@ -10,7 +10,7 @@ from typing import no_type_check
 import numba
 import numpy as np
 
-from palpate.optics.compiled_march import TILE
+from palpate.optics.march import TILE
 from palpate.optics.march_kernels import FAST, ONE, TINY, add_light, f32, march_tile
 
 

@@ -11,7 +11,7 @@ from typing import no_type_check
 import numba
 import numpy as np
 
-from palpate.optics.compiled_march import TILE
+from palpate.optics.march import TILE
 
 SHORT = np.float32((math.pi / 2) ** 2)  # maximum h^2 of the polynomials, for an error of 4e-8
 

@@ -10,9 +10,9 @@ from palpate.core.plugins import names_at_first_use
 
 if TYPE_CHECKING:
     from palpate.recordings.clock_offset import Offset, mean_over_exposures, offset_between
-    from palpate.recordings.exchange.folder_export import export_folder
     from palpate.recordings.exchange.image_files import read_image
     from palpate.recordings.exchange.image_import import ImportReport, import_images
+    from palpate.recordings.exchange.press_export import export_folder
     from palpate.recordings.integrity import CheckReport, RepairReport, check, repair
     from palpate.recordings.label_tables import read_labels
     from palpate.recordings.manifest import Manifest
@@ -25,7 +25,7 @@ _MODULES = {
     name: module
     for module, names in {
         "clock_offset": ("Offset", "mean_over_exposures", "offset_between"),
-        "exchange.folder_export": ("export_folder",),
+        "exchange.press_export": ("export_folder",),
         "exchange.image_files": ("read_image",),
         "exchange.image_import": ("ImportReport", "import_images"),
         "integrity": ("CheckReport", "RepairReport", "check", "repair"),

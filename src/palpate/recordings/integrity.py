@@ -30,7 +30,7 @@ from palpate.recordings.segments import (
     StoredSegment,
     decode,
     decode_json,
-    message_schema,
+    segment_writer,
 )
 
 
@@ -281,11 +281,11 @@ def _copy_signals(old: StoredSegment, new: Segment, sequences: dict[int, int]) -
 
 def _renumbered(label: StoredMessage, sequences: dict[int, int]) -> bytes | None:
     """A label that names its frame by the new sequence; None where the frame is lost."""
-    about = message_schema.decode_json(label.data, LABELS)
+    about = segment_writer.decode_json(label.data, LABELS)
     old = about.get("frame")
     if not isinstance(old, int) or old not in sequences:
         return None
-    return message_schema.encode_json({**about, "frame": sequences[old]})
+    return segment_writer.encode_json({**about, "frame": sequences[old]})
 
 
 def _orphaned(old: StoredSegment, count: int) -> Damage:

@@ -13,8 +13,13 @@ import pandas as pd
 from palpate.core import InputError, LabelError, SplitError
 from palpate.core.provenance import joint_provenance
 from palpate.recordings.label_tables import Label
-from palpate.recordings.manifest import LabelKind, Manifest, StoredManifest
-from palpate.recordings.reference_instruments import ReferenceInstrument, refuse_strangers
+from palpate.recordings.manifest import (
+    LabelKind,
+    Manifest,
+    ReferenceInstrument,
+    StoredManifest,
+    refuse_strangers,
+)
 from palpate.recordings.run_reader import Run
 from palpate.recordings.segments.segment_reader import Damage
 from palpate.recordings.splits import SESSION, group_names

@@ -1,20 +1,41 @@
-"""The manifest: what a run is of, written once beside its segments and never again."""
+"""The manifest: what a run is of, written once beside its segments and never again.
+
+What labels come from: the reference instrument of a label column, and its own uncertainty.
+
+Written in a file of TOML, one section a column, all numbers in the column's unit::
+
+    [force_N]
+    instrument = "ATI Nano17, FT12345"
+    certificate = "D-K-15070-2026-03"
+    certified_on = "2026-03-01"
+    standard_uncertainty = 0.02
+    resolution = 0.003
+    backlash = 0.0
+    bias_removed = 0.05
+
+Notes on a run: what somebody saw in it, when; kept beside the run, which itself is never altered.
+"""
 
 from __future__ import annotations
 
 import hashlib
+import json
+import math
+import os
+import tomllib
 import uuid
 from collections.abc import Mapping
-from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from dataclasses import asdict, dataclass
+from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from palpate.core import (
     NS_PER_S,
     InputError,
+    LabelError,
     PathText,
     RecordingError,
     has_unit,
@@ -25,8 +46,80 @@ from palpate.core import (
 )
 from palpate.core.parsing import parser
 from palpate.core.provenance import Provenance, earlier_provenance
-from palpate.recordings.reference_instruments import ReferenceInstrument
 from palpate.version import __version__, needed_version
+
+MAX_FILE_BYTES = 1 << 20
+
+
+class ReferenceInstrument(BaseModel):
+    """Instrument of one label column; numbers are in the column's unit.
+
+    Attributes:
+        instrument: Name and serial number.
+        certificate: Number and issuer of the calibration certificate; empty for none.
+        certified_on: Date of the certificate, ISO 8601; empty for none.
+        standard_uncertainty: Systematic uncertainty (scale, zero, alignment) for a coverage factor of 1;
+            included in every reading's interval.
+        resolution: Smallest displayed difference; varies from row to row, so held-out errors contain it.
+        backlash: Loss on reversal; varies from row to row if presses come from both sides.
+        bias_removed: Known error already subtracted from the labels; informative only.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    instrument: str = Field(min_length=1)
+    certificate: str = ""
+    certified_on: str = ""
+    standard_uncertainty: float = Field(default=0.0, ge=0)
+    resolution: float = Field(default=0.0, ge=0)
+    backlash: float = Field(default=0.0, ge=0)
+    bias_removed: float = 0.0
+
+    @field_validator("certified_on", mode="before")
+    @classmethod
+    def _dated(cls, day: object) -> object:
+        """A date of TOML or a text of one, as text."""
+        if isinstance(day, date):
+            return day.isoformat()
+        if isinstance(day, str) and day:
+            date.fromisoformat(day)
+        return day
+
+
+@parser("instrument file", InputError)
+def read_instruments(path: PathText) -> dict[str, ReferenceInstrument]:
+    """Reference instruments of label columns, from a file of TOML."""
+    path = Path(path)
+    if not path.is_file() or path.stat().st_size > MAX_FILE_BYTES:
+        raise InputError(f"{path} is no file of instruments of up to {MAX_FILE_BYTES} bytes; check the name")
+    with storage_errors(path):
+        data = path.read_bytes()
+    try:
+        sections = tomllib.loads(data.decode("utf-8-sig"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as e:
+        raise InputError(f"{path} is no TOML ({e}); write one section a column, as in [force_N]") from e
+    found = {}
+    for column, fields in sections.items():
+        try:
+            found[column] = ReferenceInstrument.model_validate(fields)
+        except ValidationError as e:
+            first = e.errors(include_url=False)[0]
+            where = ".".join(map(str, first["loc"])) or "it"
+            allowed = ", ".join(ReferenceInstrument.model_fields)
+            raise InputError(
+                f"{path}, [{column}]: {where}: {first['msg']}; a section has {allowed}, in the column's unit"
+            ) from e
+    return found
+
+
+def refuse_strangers(instruments: Mapping[str, object], columns: tuple[str, ...], source: str) -> None:
+    """Raise a LabelError if an instrument is given for what is no label column."""
+    if strangers := sorted(set(instruments) - set(columns)):
+        raise LabelError(
+            f"{source}: instruments are given for {', '.join(strangers)}, and the label columns are "
+            f"{', '.join(columns)}"
+        )
+
 
 MANIFEST = "manifest.json"
 FORMAT = "palpate-run/1"
@@ -247,3 +340,82 @@ def _first(error: ValidationError) -> str:
     problem = error.errors(include_url=False, include_context=False)[0]
     where = ".".join(str(part) for part in problem["loc"])
     return f"{where}: {problem['msg']}" if where else problem["msg"]
+
+
+NOTES = "notes.jsonl"
+MAX_NOTE = 500
+"""Characters of a note."""
+MAX_NOTES = 2000
+MAX_NOTES_BYTES = 4 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class RunNote:
+    """Note on a moment of a run.
+
+    Attributes:
+        time_s: from the run's first instant [s].
+        written_utc: when, in ISO 8601.
+    """
+
+    time_s: float
+    text: str
+    written_utc: str
+
+
+@parser("run notes", RecordingError)
+def read_notes(run: PathText) -> list[RunNote]:
+    """Read the notes on a run, in the order of their times; lines that are none are left out."""
+    path = Path(run) / NOTES
+    if path.is_symlink():
+        raise RecordingError(f"{path} is a link; notes lie beside their run: move the file there")
+    if not path.is_file():
+        return []
+    with storage_errors(path):
+        if path.stat().st_size > MAX_NOTES_BYTES:
+            raise RecordingError(f"{path} is larger than {MAX_NOTES_BYTES} bytes, and notes never are")
+        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    return sorted((note for line in lines if (note := _note(line))), key=lambda note: note.time_s)
+
+
+def add_note(run: PathText, time_s: float, text: str) -> RunNote:
+    """Add a note to a run.
+
+    Args:
+        time_s: what the note is on, from the run's first instant [s].
+        text: 1 to `MAX_NOTE` characters; line ends become spaces.
+    """
+    path, text = Path(run) / NOTES, " ".join(text.split())
+    if not (path.parent / MANIFEST).is_file():
+        raise RecordingError(
+            f"{run} is not a run: it holds no {MANIFEST}; name a run's folder", code="not-a-run"
+        )
+    if not 0 < len(text) <= MAX_NOTE or not math.isfinite(time_s):
+        raise InputError(
+            f"a note of {len(text)} characters at {time_s} s; it takes 1 to {MAX_NOTE} characters at a time "
+            "within the run"
+        )
+    if len(read_notes(run)) >= MAX_NOTES:
+        raise InputError(f"{run} has {MAX_NOTES} notes, and no more are kept; take some out of {NOTES}")
+    note = RunNote(round(time_s, 6), text, datetime.now(UTC).isoformat(timespec="seconds"))
+    line = json.dumps(asdict(note), ensure_ascii=False, allow_nan=False) + "\n"
+    with storage_errors(path):
+        flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0)
+        handle = os.open(path, flags, 0o644)
+        try:
+            os.write(handle, line.encode())
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+    return note
+
+
+def _note(line: str) -> RunNote | None:
+    try:
+        fields = json.loads(line)
+        note = RunNote(
+            float(fields["time_s"]), str(fields["text"])[:MAX_NOTE], str(fields["written_utc"])[:40]
+        )
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return None
+    return note if math.isfinite(note.time_s) else None

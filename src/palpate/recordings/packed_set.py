@@ -26,9 +26,9 @@ from palpate.core import (
     storage_errors,
 )
 from palpate.core.parsing import parser
+from palpate.recordings.label_tables import read_table, write_table
 from palpate.recordings.preparation import Preparation
 from palpate.recordings.run_reader import Run
-from palpate.recordings.table_files import read_table, write_table
 from palpate.version import __version__
 
 FRAMES_NAME = "frames.npy"

@@ -41,8 +41,8 @@ from palpate.recordings.segments import (
     StoredFrame,
     StoredSegment,
     file_name,
-    message_schema,
     segment_numbers,
+    segment_writer,
 )
 
 __all__ = ["Damage", "Run"]
@@ -175,7 +175,7 @@ class Run:
         for segment in self.segments:
             void = _void_in(segment)
             for message in segment.messages(LABELS) if void else ():
-                labels = message_schema.decode_json(message.data, LABELS).get("labels", {})
+                labels = segment_writer.decode_json(message.data, LABELS).get("labels", {})
                 count += labels.get("approach") in void
         return count
 
@@ -198,7 +198,7 @@ class Run:
             (self._seconds(message.time_ns), str(event.get("kind")), json.dumps(event.get("fields")))
             for segment in self.segments
             for message in segment.messages(EVENTS)
-            for event in [message_schema.decode_json(message.data, EVENTS)]
+            for event in [segment_writer.decode_json(message.data, EVENTS)]
         ]
         return pd.DataFrame(rows, columns=["time_s", "kind", "fields"]).astype({"time_s": np.float64})
 
@@ -252,7 +252,7 @@ class Run:
         abouts = {}
         void = _void_in(segment)
         for message in segment.messages(LABELS):
-            about = message_schema.decode_json(message.data, LABELS)
+            about = segment_writer.decode_json(message.data, LABELS)
             exposure, labels = about.get("exposure_s"), about.get("labels", {})
             try:
                 exposure_s = None if exposure is None else finite([exposure], 1, "exposure [s]")[0]
@@ -273,14 +273,14 @@ class Run:
         for segment in self.segments:
             for message in segment.messages(channel):
                 rows.append(self._seconds(message.time_ns))
-                rows.extend(values(message_schema.decode(message.data, channel)))
+                rows.extend(values(segment_writer.decode(message.data, channel)))
         table = np.frombuffer(rows, np.float64) if rows else np.empty(0)
         return pd.DataFrame(table.reshape(-1, 1 + len(columns)), columns=["time_s", *columns])
 
 
 def _void_in(segment: StoredSegment) -> set[float]:
     """Approaches of a segment whose frames were taken back, since the force sensor's zero moved."""
-    events = (message_schema.decode_json(message.data, EVENTS) for message in segment.messages(EVENTS))
+    events = (segment_writer.decode_json(message.data, EVENTS) for message in segment.messages(EVENTS))
     return {
         float(one)
         for event in events

@@ -46,8 +46,8 @@ from palpate.recordings.segments import (
     STAGE,
     Channel,
     Segment,
-    message_schema,
     segment_numbers,
+    segment_writer,
 )
 
 Overflow = Literal["drop", "wait"]
@@ -183,7 +183,7 @@ def _start(run: Run, now_ns: int) -> int:
     clock_ns = last.about.get("clock_ns")
     if last.begin_ns is not None and isinstance(clock_ns, int):
         start_ns = max(start_ns, last.begin_ns + now_ns - clock_ns)
-    if start_ns > message_schema.MAX_TIME_NS:
+    if start_ns > segment_writer.MAX_TIME_NS:
         raise RecordingError(f"{run.path} ends in 2038, beyond which no stamp can tell; record a new run")
     return start_ns
 
@@ -221,8 +221,8 @@ class RunWriter:
         self._segment = opened.segment
         self._labels = opened.manifest.labels
         self._clock = clock
-        self._latest = dict.fromkeys(message_schema.RECORDED, opened.start_ns)
-        self._locks = {channel: Lock() for channel in message_schema.RECORDED}
+        self._latest = dict.fromkeys(segment_writer.RECORDED, opened.start_ns)
+        self._locks = {channel: Lock() for channel in segment_writer.RECORDED}
         self._buffer = buffer
         self._reported = dict(buffer.dropped)
         self._stored = 0
@@ -319,13 +319,13 @@ class RunWriter:
         """
         values = finite(wrench, 6, "force and torque [N, Nm]")
         return self._put(
-            RAW if raw else FORCE, time_ns, lambda at_ns: message_schema.encode_wrench(values, at_ns)
+            RAW if raw else FORCE, time_ns, lambda at_ns: segment_writer.encode_wrench(values, at_ns)
         )
 
     def stage(self, position_m: Sequence[float] | np.ndarray, *, time_ns: int | None = None) -> bool:
         """Record where the stage is [m]; False when dropped."""
         values = finite(position_m, 3, "stage position [m]")
-        return self._put(STAGE, time_ns, lambda at_ns: message_schema.encode_point(values, at_ns))
+        return self._put(STAGE, time_ns, lambda at_ns: segment_writer.encode_point(values, at_ns))
 
     def event(self, kind: str, **fields: Any) -> bool:
         """Record that something happened; False when dropped. A full disk still has room for some."""
@@ -333,7 +333,7 @@ class RunWriter:
             raise InputError(
                 f"events of kind {DROPPED!r} are the writer's own; choose another kind", code="event-kind"
             )
-        data = message_schema.encode_json({"kind": kind, "fields": fields})
+        data = segment_writer.encode_json({"kind": kind, "fields": fields})
         return self._put(EVENTS, None, lambda _: data)
 
     def sync(self) -> None:
@@ -407,7 +407,7 @@ class RunWriter:
         elif not isinstance(time_ns, Integral):
             raise InputError(f"time_ns is a whole number of ns on the writer's clock, got {time_ns!r}")
         at_ns = int(time_ns) + self._opened.zero_ns
-        if not self._latest[channel] <= at_ns <= message_schema.MAX_TIME_NS:
+        if not self._latest[channel] <= at_ns <= segment_writer.MAX_TIME_NS:
             least = self._latest[channel] - self._opened.zero_ns
             raise InputError(
                 f"{channel.name} at {time_ns} ns, but time only goes forwards, to 2038 at most: give "
@@ -467,8 +467,8 @@ class RunWriter:
         if isinstance(item.data, bytes):
             self._segment.signals.write(item.channel, item.time_ns, 0, item.data, last=self._full)
             return
-        image = message_schema.encode_image(image_files.encode(item.data), item.time_ns)
-        about = message_schema.encode_json({"frame": self._stored, **(item.about or {})})
+        image = segment_writer.encode_image(image_files.encode(item.data), item.time_ns)
+        about = segment_writer.encode_json({"frame": self._stored, **(item.about or {})})
         self._segment.signals.hold(len(about))  # first, so that no frame is left without its record
         self._segment.frames.write(FRAMES, item.time_ns, self._stored, image)
         self._segment.signals.write(LABELS, item.time_ns, 0, about)
@@ -480,7 +480,7 @@ class RunWriter:
             if count != self._reported[name]:
                 at_ns = max(self._latest[EVENTS], self._clock.now_ns() + self._opened.zero_ns)
                 fields = {"channel": name, "count": count}
-                data = message_schema.encode_json({"kind": DROPPED, "fields": fields})
+                data = segment_writer.encode_json({"kind": DROPPED, "fields": fields})
                 self._store_if_room(Item(EVENTS, at_ns, data))
                 self._reported[name] = count
 

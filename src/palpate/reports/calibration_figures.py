@@ -21,8 +21,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import PathPatch, Rectangle
 from matplotlib.path import Path
 
-from palpate.calibration.coverage.circular_scores import shortest
 from palpate.calibration.coverage.grouped_rates import grouped_coverage_interval
+from palpate.calibration.coverage.range_scores import shortest
 from palpate.core import Bool, Float
 from palpate.estimators.intervals import within
 from palpate.estimators.model_card import TargetCard

@@ -13,14 +13,14 @@ from palpate.core import PathText, half_width_text, new_file, rounded
 from palpate.estimators.certified import check_files, read_card
 from palpate.estimators.model_card import Card
 from palpate.reports.evaluation_text import class_covered, classes_told
-from palpate.reports.score_intervals import (
+from palpate.reports.sections import SECTIONS, ReportedCalibration
+from palpate.reports.terminal_text import (
     MIN_R2_HALF_WIDTH,
     explained_half_width,
     mean_error_half_width,
     percent,
     width_text,
 )
-from palpate.reports.sections import SECTIONS, ReportedCalibration
 
 
 def write_report(calibration: PathText, out: PathText) -> Path:

@@ -11,19 +11,23 @@ import numpy as np
 import pandas as pd
 
 from palpate.calibration.certificate import read_predictions
-from palpate.calibration.coverage.counted_groups import counted_text, held_out_groups
-from palpate.calibration.coverage.grouped_rates import MIN_GROUPS_OF_MEAN, grouped_mean_interval
+from palpate.calibration.coverage.grouped_rates import (
+    MIN_GROUPS_OF_MEAN,
+    counted_text,
+    grouped_mean_interval,
+    held_out_groups,
+)
 from palpate.calibration.sessions import EvaluationRecord
 from palpate.core import CertificateError, InputError, PathText, new_file, rounded
-from palpate.core.refusal import Refusal
+from palpate.core.reading import Refusal
 from palpate.estimators.certified import check_files, read_card
 from palpate.estimators.model_card import Card, TargetCard
 from palpate.recordings.label_tables import own_column
 from palpate.reports.calibration_figures import errors_of
 from palpate.reports.certificate_page import filled_template
 from palpate.reports.evaluation_text import frames_of
-from palpate.reports.score_intervals import mean_error_half_width, percent, width_text
 from palpate.reports.sections import ReportedCalibration, found_elsewhere, not_relied_on, tested_text
+from palpate.reports.terminal_text import mean_error_half_width, percent, width_text
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +35,7 @@ class ErrorDifference:
     """Second less first mean absolute error on the same held-out rows.
 
     Attributes:
-        counted_by: kind of group, see `calibration.coverage.counted_groups.held_out_groups`.
+        counted_by: kind of group, see `calibration.coverage.grouped_rates.held_out_groups`.
         difference: [the target's unit].
         low, high: its 95 % interval over groups; None for too few.
     """

@@ -9,10 +9,10 @@ import pandas as pd
 
 from palpate.calibration.sessions import EvaluationRecord
 from palpate.estimators.class_sets import ClassCard, ClassCoverageCard, ClassScoreCard
-from palpate.estimators.finding_cards import ValidScoreCard
+from palpate.estimators.findings import ValidScoreCard
 from palpate.estimators.model_card import Card
 from palpate.recordings import Manifest
-from palpate.reports.score_intervals import percent
+from palpate.reports.terminal_text import percent
 
 
 def frames_text(card: Card, scored: int, valid: int, untold: Mapping[str, int], all_valid: int) -> str:

@@ -11,11 +11,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from palpate.core import new_file
-from palpate.mechanics.half_space.hertz_pairs import Body
+from palpate.mechanics.half_space.hertz import Body
 from palpate.reports.calibration_figures import ACCENT, BAD, BAND, COLOURS, INK, STYLE, drawn
 from palpate.softness import Mode, Rendered, RenderingLaw, SoftObject
-from palpate.softness.display_bench_test import BenchTest
-from palpate.softness.pressure_response import HALF_POWER, PressureResponse
+from palpate.softness.display_bench_test import HALF_POWER, BenchTest, PressureResponse
 from palpate.softness.rendering_law import LIMIT_WORDS
 from palpate.softness.rendering_simulation import Rendering
 

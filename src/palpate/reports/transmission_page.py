@@ -15,9 +15,7 @@ from palpate.mechanics.fingertip_laws import Fingertip
 from palpate.reports.calibration_figures import ACCENT, BAND, COLOURS, INK, STYLE, drawn
 from palpate.reports.certificate_page import filled_template
 from palpate.softness.characteristics import SoftObject
-from palpate.softness.transmission import StageJudgement, Transmission
-from palpate.softness.transmission.judged_stages import STAGES
-from palpate.softness.transmission.transmitted_cues import object_under
+from palpate.softness.transmission import STAGES, StageJudgement, Transmission, object_under
 from palpate.version import __version__
 
 MM, MM2 = 1e3, 1e6

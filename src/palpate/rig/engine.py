@@ -35,7 +35,7 @@ from palpate.devices import (
     SupervisedGuard,
     Tripped,
 )
-from palpate.devices.suspension import SleepWatch
+from palpate.devices.long_running import SleepWatch
 from palpate.recordings import Manifest, Offset, Run, RunWriter
 from palpate.recordings.run_reader import VOID
 from palpate.rig.acquisition import LABELS, Acquisition
@@ -57,8 +57,7 @@ from palpate.rig.plans.recording_plan import (
 )
 from palpate.rig.preflight import check_ready, notes_of
 from palpate.rig.press_motion import PressMotion, check_plan
-from palpate.rig.press_retries import REJECTED, TRANSIENT
-from palpate.rig.rig import Rig
+from palpate.rig.rig import REJECTED, TRANSIENT, Rig
 from palpate.rig.run_progress import (
     PLAN,
     Outcome,

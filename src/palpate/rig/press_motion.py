@@ -14,11 +14,11 @@ from palpate.core import InputError, Position, Wrench, own_plans_of
 from palpate.devices import Clearance, ForceBias, ForceReached, Guard, Reason, Tripped
 from palpate.devices.force_bias import Force
 from palpate.recordings.run_reader import ZERO_MOVED
+from palpate.rig.force_checks import touch_gently
+from palpate.rig.label_force import allowed_n, moved_n, slope_n_s
 from palpate.rig.plans.recording_plan import PlannedPress, RecordingPlan
 from palpate.rig.rig import Rig
 from palpate.rig.run_progress import TOUCH, ZERO, Recorder
-from palpate.rig.sign_touch import touch_gently
-from palpate.rig.zero_drift import allowed_n, moved_n, slope_n_s
 
 MM = 1e-3
 BELOW_TOUCH_MM = 0.2  # of a contact that is said by a force

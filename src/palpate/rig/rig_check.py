@@ -12,7 +12,7 @@ import numpy as np
 
 from palpate.core import NS_PER_S, ForceSensor, FrameSource, PalpateError, Wrench
 from palpate.devices.check import check_camera, check_force_sensor, check_stage
-from palpate.devices.check.check_result import (
+from palpate.devices.check.interface_check import (
     CheckResult,
     Part,
     at_most,
@@ -22,7 +22,7 @@ from palpate.devices.check.check_result import (
     with_prefix,
 )
 from palpate.devices.check.stage_motion import Box, UnsafeError
-from palpate.devices.supervisor.process_priority import FIFO, probe_realtime
+from palpate.devices.supervisor.owning_process import FIFO, probe_realtime
 from palpate.rig.plans.plan_files import plan_of_sensor
 from palpate.rig.plans.recording_plan import RecordingPlan
 from palpate.rig.preflight import notes_of

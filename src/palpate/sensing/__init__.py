@@ -7,17 +7,17 @@ from palpate.sensing.frame_sources import FileFrames, open_source
 from palpate.sensing.sensing_loop import Sensed, sense
 
 if TYPE_CHECKING:
-    from palpate.sensing.live_iteration import Live, live
     from palpate.sensing.live_loop import LiveLoop, LiveReading, LiveState
     from palpate.sensing.live_sources import LiveSource, open_live_source
+    from palpate.sensing.sensing_loop import Live, live
 
 _LIVE = {
-    "Live": "live_iteration",
+    "Live": "sensing_loop",
     "LiveLoop": "live_loop",
     "LiveReading": "live_loop",
     "LiveSource": "live_sources",
     "LiveState": "live_loop",
-    "live": "live_iteration",
+    "live": "sensing_loop",
     "open_live_source": "live_sources",
 }
 """What loads tables and video, which the reading of one image does not need: imported when first used."""

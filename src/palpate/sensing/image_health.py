@@ -17,7 +17,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from palpate.core import Float, Float32, ImageError, InputError, RangeError, Shaped, ndarray
-from palpate.estimators.brightest_channel import brightest_channel
+from palpate.estimators.fringe_light import brightest_channel
 
 MIN_FRAMES = 4
 MIN_FLICKER_FRAMES = 12  # with fewer a frequency is not told

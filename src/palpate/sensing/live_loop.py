@@ -27,14 +27,12 @@ from palpate.core import (
     Wrench,
 )
 from palpate.core.failure_log import record_failure, report_to_stderr
-from palpate.core.reading import plain_number
-from palpate.core.refusal import OF_ALL_FRAMES
+from palpate.core.reading import OF_ALL_FRAMES, plain_number
 from palpate.core.shared_history import SharedHistory
 from palpate.sensing.live_sources import LiveSource, NoFrameYetError
-from palpate.sensing.streaming.live_drift import DriftWatch
 from palpate.sensing.streaming.live_readers import FrameReader, mean_image
 from palpate.sensing.streaming.live_slots import NewestSlot, Subscriber, SubscriberLine
-from palpate.sensing.streaming.live_statistics import LiveStatistics, StatisticsKeeper
+from palpate.sensing.streaming.live_statistics import DriftWatch, LiveStatistics, StatisticsKeeper
 
 GRAB_S = 0.25  # so that closing waits no longer
 TAKE_S = 0.05  # between two looks at the force while no frame comes

@@ -36,7 +36,7 @@ from palpate.core import (
 from palpate.core.failure_log import Failure, contained, report_to_stderr, thread_failures
 from palpate.core.provenance import Provenance
 from palpate.devices.device_status import Log, jpeg_of
-from palpate.devices.process_memory import give_back_memory, keep_loaded
+from palpate.devices.long_running import give_back_memory, keep_loaded
 from palpate.devices.rpc import Address, hold, publish
 from palpate.devices.rpc_server import Request, RpcServer, request_field
 from palpate.recordings.exchange.image_files import read_image
@@ -52,8 +52,7 @@ from palpate.sensing.streaming.live_image import ImageWatch
 from palpate.sensing.streaming.live_presses import PressReader, compliance_of
 from palpate.sensing.streaming.live_readers import CalibrationReader, FrameReader, open_reader
 from palpate.sensing.streaming.live_recorder import LiveRecorder
-from palpate.sensing.streaming.source_views import preset_of_camera
-from palpate.sensing.streaming.strain_view import strain_view
+from palpate.sensing.streaming.source_views import preset_of_camera, strain_view
 from palpate.sensing.streaming.touch_readers import ShearFrameReader, open_shear_reader
 from palpate.sensing.view_overlay import rounded_overlay
 from palpate.sensors.owned import read_preset
@@ -349,8 +348,7 @@ class LiveService:
     def _opened_collector(self, request: Mapping[str, Any]) -> Any:
         from palpate.rig.real.scale import ScaleSpec, SerialScale
         from palpate.sensing.collection.plateau_finder import Weighing
-        from palpate.sensing.collection.press_collector import PressCollector
-        from palpate.sensing.collection.scale_collector import ScaleCollector
+        from palpate.sensing.collection.press_collector import PressCollector, ScaleCollector
 
         path, source = self._path(request_field(request, "run", (str,))), self._source()
         kind = request.get("scale", "beside")

@@ -23,6 +23,7 @@ import numpy as np
 from palpate.core import Bool, Float, Float32, ImageError, InputError, Int, RangeError, Shaped, UInt8, ndarray
 from palpate.estimators.lattice.dotted_skin import DottedSkin
 from palpate.sensing.uncalibrated import (
+    MIN_PX,
     BrightnessGain,
     MarkKind,
     MarkMotion,
@@ -38,7 +39,6 @@ from palpate.sensing.uncalibrated import (
     tail_weights,
     upper_quantile,
 )
-from palpate.sensing.uncalibrated.changed_parts import MIN_PX
 from palpate.sensors.owned import SensorPreset
 
 TouchVerdict = Literal["untouched", "touched", "in-view", "view-changed"]

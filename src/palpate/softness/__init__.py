@@ -8,7 +8,7 @@ from palpate.softness.characteristics import (
     polynomial,
     pressed_object,
 )
-from palpate.softness.cone_display import ConeDisplay
+from palpate.softness.display_parts import ConeDisplay
 from palpate.softness.object_file import is_object_file, read_object
 from palpate.softness.rendering_law import DisplayBounds, Limit, Mode, Rendered, RenderingLaw
 from palpate.softness.specimens import (

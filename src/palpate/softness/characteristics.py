@@ -16,7 +16,7 @@ import numpy as np
 
 from palpate.core import Float, InputError, RangeError, ndarray
 from palpate.mechanics.fingertip_laws import Fingertip
-from palpate.mechanics.half_space.hertz_pairs import Body
+from palpate.mechanics.half_space.hertz import Body
 
 Cue = Literal["area", "displacement"]
 SHOWN = {"area": (1e6, "mm²"), "displacement": (1e3, "mm")}

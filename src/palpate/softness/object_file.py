@@ -23,22 +23,213 @@ In place of both stands one of
   ``specimen_radius_mm``, ``specimen_height_mm`` and ``poisson``;
 * ``[specimen]``: ``class`` (CL1, CL2, CL3), ``number`` 1 to 5, ``moduli_kPa`` of the five silicones,
   ``poisson``, the finger as in ``[hertz]``, and ``until_N``.
+
+Validated fields of an object file: numbers with their unit in the key, no unknown fields.
+
+Objects that a named fingertip presses, from the tables of an object file.
+
+``[fingertip]`` alone is a rigid flat; ``[material]`` or ``[compliance]`` gives the flat's modulus.
+``[specimen]`` is a published silicone specimen with a finger of its own.
 """
 
 from __future__ import annotations
 
+import math
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from palpate.core import InputError, UnitError, storage_errors
+from palpate.core import InputError, RangeError, UnitError, storage_errors
 from palpate.core.parsing import parser
-from palpate.softness.characteristics import Characteristic, Cue, SoftObject, hertz_object, polynomial
-from palpate.softness.object_fields import BODY, body_of, number, numbers, only, table_of
-from palpate.softness.pressed_bodies import UNDER, fingertip_press, specimen_press
+from palpate.mechanics.fingertip_laws import (
+    Fingertip,
+    exponential_fingertip,
+    finite_strain_fingertip,
+    hertz_fingertip,
+    on_flat,
+)
+from palpate.mechanics.half_space.hertz import Body
+from palpate.softness.characteristics import (
+    Characteristic,
+    Cue,
+    SoftObject,
+    fingertip_object,
+    hertz_object,
+    polynomial,
+)
+from palpate.softness.specimens import SOFTENER, SpecimenClass, specimen_object, specimens
+from palpate.softness.touched_flat import CUES, Cylinder, read_touched_flat
+
+Fields = Mapping[str, Any]
+BODY = ("modulus_kPa", "radius_mm", "poisson")
+
+
+def table_of(name: str, fields: Any) -> Fields:
+    """A table of the file."""
+    if not isinstance(fields, Mapping):
+        raise InputError(f"[{name}] is no table; write its fields below it", code="not-a-table")
+    return fields
+
+
+def only(table: str, fields: Fields, known: set[str]) -> None:
+    """Refuse a field that is not known."""
+    if extra := sorted(set(fields) - known):
+        raise InputError(
+            f"[{table}]: {extra[0]!r} is no field here; there are {', '.join(sorted(known))}",
+            code="field-unknown",
+        )
+
+
+def number(table: str, fields: Fields, key: str) -> float:
+    """A number."""
+    value = fields.get(key)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise InputError(f"[{table}]: {key} is {value!r}; give a number", code="not-a-number")
+    return float(value)
+
+
+def above_zero(table: str, fields: Fields, key: str, *, endless: bool = False) -> float:
+    """A number above 0 in the unit of its key, and finite unless `endless`."""
+    value = number(table, fields, key)
+    if not value > 0 or (math.isinf(value) and not endless):
+        allowed = "above 0, inf among them," if endless else "above 0 and finite"
+        raise RangeError(f"[{table}]: {key} is {value:g}; give one {allowed}", code="not-positive")
+    return value
+
+
+def poisson_of(table: str, fields: Fields, key: str = "poisson") -> float:
+    """A Poisson's ratio."""
+    nu = number(table, fields, key)
+    if not 0 <= nu <= 0.5:
+        raise RangeError(f"[{table}]: {key} is {nu:g}; 0 to 0.5 are allowed", code="poisson")
+    return nu
+
+
+def numbers(table: str, fields: Fields, key: str) -> list[float]:
+    """A list of numbers."""
+    values = fields.get(key)
+    if not isinstance(values, list) or not all(
+        isinstance(one, int | float) and not isinstance(one, bool) for one in values
+    ):
+        raise InputError(f"[{table}]: {key} is {values!r}; give a list of numbers", code="not-a-list")
+    return [float(one) for one in values]
+
+
+def word(table: str, fields: Fields, key: str, *allowed: str) -> str:
+    """A word, one of those allowed where there are such."""
+    value = fields.get(key)
+    if not isinstance(value, str) or (allowed and value not in allowed):
+        choice = f"one of {', '.join(allowed)}" if allowed else "words in quotes"
+        raise InputError(f"[{table}]: {key} is {value!r}; give {choice}", code="word-unknown")
+    return value
+
+
+def body_of(table: str, fields: Fields, owner: str = "") -> Body:
+    """An elastic ball of `modulus_kPa`, `radius_mm` and `poisson`, each after its owner's name."""
+    modulus = above_zero(table, fields, f"{owner}modulus_kPa")
+    radius = above_zero(table, fields, f"{owner}radius_mm", endless=True)
+    nu = poisson_of(table, fields, f"{owner}poisson")
+    return Body(1e3 * modulus / (1 - nu**2), 1e-3 * radius)
+
+
+UNDER = ("material", "compliance")
+
+
+def fingertip_press(name: str, fields: Mapping[str, Any], folder: Path) -> SoftObject:
+    """Return what a finger feels of a rigid flat, a material, or a measured object."""
+    own = table_of("fingertip", fields["fingertip"])
+    tip = _fingertip(own)
+    until = above_zero("fingertip", own, "until_N")
+    under = [table for table in UNDER if table in fields]
+    if len(under) > 1:
+        raise InputError("[material] and [compliance]; leave one out", code="tables-exclude")
+    words = "rigid flat"
+    if under:
+        fields_under = table_of(under[0], fields[under[0]])
+        flat_pa, words = (
+            _material(fields_under) if under == ["material"] else _compliance(fields_under, folder)
+        )
+        tip = on_flat(tip, flat_pa)
+    felt = fingertip_object(name, tip, until)
+    return SoftObject(name, felt.area, felt.displacement, f"{words}; {felt.source}")
+
+
+def _fingertip(fields: Fields) -> Fingertip:
+    model = word("fingertip", fields, "model", *MODELS)
+    return MODELS[model](fields)
+
+
+def _hertz_fingertip(fields: Fields) -> Fingertip:
+    only("fingertip", fields, {"model", "until_N", *BODY})
+    return hertz_fingertip(body_of("fingertip", fields))
+
+
+def _exponential(fields: Fields) -> Fingertip:
+    keys = ("b_N", "m_per_mm", "area_at_1_N_mm2")
+    only("fingertip", fields, {"model", "until_N", "area_exponent", *keys})
+    b, m, k = (above_zero("fingertip", fields, key) for key in keys)
+    return exponential_fingertip(b, 1e3 * m, 1e-6 * k, number("fingertip", fields, "area_exponent"))
+
+
+def _finite_strain(fields: Fields) -> Fingertip:
+    only("fingertip", fields, {"model", "until_N", "tip", "radius_mm", "gel_modulus_kPa"})
+    radius, modulus = (above_zero("fingertip", fields, key) for key in ("radius_mm", "gel_modulus_kPa"))
+    return finite_strain_fingertip(word("fingertip", fields, "tip"), 1e-3 * radius, 1e3 * modulus)
+
+
+MODELS: Mapping[str, Callable[[Fields], Fingertip]] = {
+    "hertz": _hertz_fingertip, "exponential": _exponential, "finite-strain": _finite_strain,
+}  # fmt: skip
+
+
+def _material(fields: Fields) -> tuple[float, str]:
+    """A thick flat by its Young's modulus: E / (1 - nu^2) [Pa], and words."""
+    only("material", fields, {"name", "modulus_kPa", "poisson", "source"})
+    modulus, nu = above_zero("material", fields, "modulus_kPa"), poisson_of("material", fields)
+    where = f" ({word('material', fields, 'source')})" if "source" in fields else ""
+    named = f"{word('material', fields, 'name')}: {modulus:g} kPa, Poisson's ratio {nu:g}{where}"
+    return 1e3 * modulus / (1 - nu**2), named
+
+
+def _compliance(fields: Fields, folder: Path) -> tuple[float, str]:
+    """A thick flat by a reading of `palpate read`: E / (1 - nu^2) [Pa], and words."""
+    use = word("compliance", fields, "use", *CUES)
+    shape = set() if use == "modulus" else {"specimen_radius_mm", "specimen_height_mm", "poisson", "ends"}
+    only("compliance", fields, {"readings", "use", *shape})
+    cylinder = None
+    if use != "modulus":
+        radius, height = (
+            1e-3 * above_zero("compliance", fields, f"specimen_{side}_mm") for side in ("radius", "height")
+        )
+        ends = word("compliance", fields, "ends", "bonded", "free") if "ends" in fields else "bonded"
+        cylinder = Cylinder(radius, height, poisson_of("compliance", fields), ends)  # type: ignore[arg-type]
+    flat = read_touched_flat(folder / word("compliance", fields, "readings"), use, cylinder)
+    return flat.flat_pa, flat.words
+
+
+def specimen_press(name: str | None, fields: Any) -> SoftObject:
+    """One of the report's specimens; see `palpate.softness.specimens`."""
+    fields = table_of("specimen", fields)
+    finger = {f"finger_{key}" for key in BODY}
+    only("specimen", fields, {"class", "number", "moduli_kPa", "poisson", "until_N", *finger})
+    kind = SpecimenClass(word("specimen", fields, "class", *SpecimenClass))
+    place = number("specimen", fields, "number")
+    if place not in range(1, len(SOFTENER) + 1):
+        raise RangeError(
+            f"[specimen]: number is {place:g}; 1 to {len(SOFTENER)} are allowed, of which 1 has the upper "
+            "silicone with no softener (of CL2 the only one)",
+            code="specimen-number",
+        )
+    moduli = [1e3 * E for E in numbers("specimen", fields, "moduli_kPa")]
+    one = specimens(kind, moduli, poisson_of("specimen", fields))[int(place) - 1]
+    felt = specimen_object(
+        one, body_of("specimen", fields, "finger_"), above_zero("specimen", fields, "until_N")
+    )
+    return SoftObject(name or one.name, felt.area, felt.displacement, felt.source)
+
 
 AREAS = {"mm2": 1e-6, "cm2": 1e-4, "m2": 1.0}
 LENGTHS = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0}

@@ -27,7 +27,7 @@ import numpy as np
 
 from palpate.core import Bool, Float, InputError, RangeError, ndarray
 from palpate.softness.characteristics import Characteristic, SoftObject
-from palpate.softness.cone_display import ConeDisplay
+from palpate.softness.display_parts import ConeDisplay
 
 Array = Float[ndarray, "*n"]
 SLACK = 1e-9  # of a bound, for rounding

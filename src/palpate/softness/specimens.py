@@ -23,8 +23,8 @@ from scipy.interpolate import CubicSpline
 
 from palpate.core import InputError, RangeError
 from palpate.mechanics.fingertip_laws import hertz_fingertip
-from palpate.mechanics.half_space.hertz_pairs import Body
-from palpate.mechanics.layers.finger_on_stack import MAX_STRAIN, press_course
+from palpate.mechanics.half_space.hertz import Body
+from palpate.mechanics.layers.influence import MAX_STRAIN, press_course
 from palpate.mechanics.layers.stack import ElasticLayer, Stack
 from palpate.softness.characteristics import SoftObject, pressed_object
 

@@ -23,18 +23,16 @@ from fastapi.responses import JSONResponse
 
 from palpate.core import DeviceError, PalpateError
 from palpate.core.failure_log import contained, log_in_workspace
-from palpate.devices.process_memory import keep_loaded
+from palpate.devices.long_running import keep_loaded
 from palpate.rig.service.rig_client import RigClient
 from palpate.studio.library.background_jobs import BackgroundJobs
-from palpate.studio.library.file_routes import add_library_routes
-from palpate.studio.library.workspace import Workspace
+from palpate.studio.library.workspace import Workspace, add_library_routes
 from palpate.studio.live.live_desk import LiveDesk, LiveProcesses
 from palpate.studio.live.start_desk import StartDesk
 from palpate.studio.operator_lease import OperatorCookie, RigLease, operator_of
-from palpate.studio.page_failures import contain_failures
 from palpate.studio.page_security import ESTOP_PATH, PageSecurity, TokenGate, cookies_of, names_of_server
-from palpate.studio.page_style import text_of
-from palpate.studio.rendering_desk import RenderingDesk
+from palpate.studio.page_shell import contain_failures, text_of
+from palpate.studio.softness_page import RenderingDesk
 from palpate.studio.stop_listener import StopListener, rig_targets
 
 

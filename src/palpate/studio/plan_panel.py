@@ -13,7 +13,7 @@ from palpate.core import PalpateError
 from palpate.rig.plans import PLANS, RecordingPlan, size_of
 from palpate.rig.service.rig_service import checked_plan
 from palpate.studio import status_text, svg_drawing
-from palpate.studio.shown_ages import age_note
+from palpate.studio.status_text import age_note
 
 FIELDS: tuple[tuple[str, str, str, bool], ...] = (
     ("places.layer_mm", "layer diameter", "mm", False),

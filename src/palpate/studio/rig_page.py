@@ -15,13 +15,11 @@ from nicegui import run, ui
 
 from palpate.core import PalpateError
 from palpate.rig.service.rig_client import RigClient
-from palpate.studio import shown_ages, status_text, svg_drawing
-from palpate.studio.html_parts import simulated_badge
+from palpate.studio import status_text, svg_drawing
 from palpate.studio.operator_lease import Operator, RigLease
-from palpate.studio.page_shell import page_shell
-from palpate.studio.page_style import AXES, paint
+from palpate.studio.page_shell import AXES, page_shell, paint, simulated_badge
 from palpate.studio.plan_panel import PlanPanel
-from palpate.studio.shown_ages import age_note
+from palpate.studio.status_text import age_note
 
 REFRESH_S = 0.2
 INK, SOFT, BAD = map(paint, ("ink", "soft", "bad"))
@@ -201,9 +199,9 @@ class RigPage:
 
     def _tell_ages(self) -> None:
         status = self._last_status = self._client.status or self._last_status
-        ages = shown_ages.ages_at(time.monotonic(), status, self._client.told_s)
+        ages = status_text.ages_at(time.monotonic(), status, self._client.told_s)
         self._beats += 1
-        self._beat.props["data-ages"] = shown_ages.ages_attribute(ages, self._beats)
+        self._beat.props["data-ages"] = status_text.ages_attribute(ages, self._beats)
         self._beat.update()
 
     async def _show(self) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from palpate.softness import Mode, RenderingLaw
 from palpate.softness.control import LoopSample
 from palpate.softness.rendering_law import LIMIT_WORDS
-from palpate.studio.page_style import paint
+from palpate.studio.page_shell import paint
 from palpate.studio.status_text import number
 from palpate.studio.svg_drawing import nice_step
 

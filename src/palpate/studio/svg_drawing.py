@@ -9,7 +9,7 @@ from typing import Any
 
 from palpate.core import Outline
 from palpate.rig.plans.press_places import Place
-from palpate.studio.page_style import AXES, paint
+from palpate.studio.page_shell import AXES, paint
 from palpate.studio.status_text import number
 
 INK, SOFT, LINE, ACCENT, BAND, BAD, CARD = map(

@@ -19,7 +19,7 @@ from palpate.core import (
 )
 from palpate.core.provenance import Provenance
 from palpate.core.sensor import dark_field_of
-from palpate.rig.real.scale.weight_line import NEWTONS
+from palpate.rig.real.scale import NEWTONS
 from palpate.sensing.collection import Weighing
 from palpate.sensing.collection.press_coverage import Box
 from palpate.sensing.live_sources import NoFrameYetError, open_live_source

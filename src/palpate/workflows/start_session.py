@@ -17,7 +17,7 @@ import numpy as np
 
 from palpate.core import InputError, Progress, lock, new_file, silent, storage_errors
 from palpate.sensing.collection.press_collector import PressCollector
-from palpate.workflows.certificate_sentence import honest_sentence, left_out_text
+from palpate.workflows.certification import honest_sentence, left_out_text
 from palpate.workflows.press_feeds import PressFeed, open_feed
 from palpate.workflows.stored_session import (
     CALIBRATION,

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from palpate.core import InputError, PathText, RecordingError, plain_name, storage_errors
 from palpate.core.parsing import parser
 from palpate.estimators.session_folder import SESSION_FILE
-from palpate.workflows.certificate_sentence import FOLDS, TARGET
+from palpate.workflows.certification import FOLDS, TARGET
 
 if TYPE_CHECKING:
     from palpate.calibration.calibration_plan import CalibrationPlan

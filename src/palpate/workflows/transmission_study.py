@@ -29,7 +29,7 @@ from palpate.estimators.compliance.pin_press import PinPress, follow_press
 from palpate.mechanics.fingertip_laws import Fingertip
 from palpate.sensors.tactip import TacTipSpec
 from palpate.softness.touched_flat import Cylinder, TouchedFlat
-from palpate.softness.transmission.transmitted_cues import (
+from palpate.softness.transmission import (
     CUES,
     CueTransmission,
     Transmission,

@@ -8,7 +8,7 @@ from tests.rig.fault_matrix.observed_rig import LEVEL_M, ObservedRig
 
 from palpate.devices import OperatorCommand
 from palpate.rig.plans import Listed, StepHold
-from palpate.rig.plans.plan_kinds import Dwell, Lateral
+from palpate.rig.plans.plan_files import Dwell, Lateral
 from palpate.rig.plans.recording_plan import Aside, Burst, Depth, Over, Seek
 from palpate.rig.run_progress import State
 

@@ -20,8 +20,8 @@ from palpate.rig.plans import StepHold
 from palpate.rig.plans.recording_plan import Burst, Depth, Done, PlannedPress, Step, Steps
 from palpate.rig.run_progress import State, Status
 from palpate.rig.virtual import Variation, virtual_rig
-from palpate.rig.virtual.straight_motion import Motion
-from palpate.rig.virtual.virtual_force import BIAS_N
+from palpate.rig.virtual.linear_rig import Motion
+from palpate.rig.virtual.virtual_sensors import BIAS_N
 from palpate.sensors.palm.palm_sensor import Palm
 
 BEGUN_NS = 100 * NS_PER_S

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from palpate.calibration.shear import LabelledCues
-from palpate.calibration.shear.force_interval import held_out
+from palpate.calibration.shear.force_law import held_out
 from palpate.core import Bool, Float, InputError, ndarray
 from palpate.psychophysics import fit_line
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from palpate.calibration.shear.force_interval import held_out
+from palpate.calibration.shear.force_law import held_out
 from palpate.calibration.shear.touch_cues import PUBLISHED_ALPHA_PX, SIDE_SAMPLES
 from palpate.core import Bool, Float, Pose, ndarray
 from palpate.estimators.surface_strain import shear_from_pressure

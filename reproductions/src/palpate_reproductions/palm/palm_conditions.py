@@ -40,7 +40,7 @@ from palpate.recordings.manifest import LabelKind
 from palpate.rig.plans import Dwell, Listed, StepHold
 from palpate.rig.virtual.disturbances import Variation
 from palpate.sensors.palm import PalmSpec
-from palpate.sensors.palm.membrane_wear import Wear, worn
+from palpate.sensors.palm.membrane_faults import Wear, worn
 from palpate.sensors.palm.random_presses import SHAPES, Loads, draw_loads
 from palpate.workflows.parameter_sweep import sweep
 from palpate_reproductions.palm.palm_comparison import NEW_PLACES_SEED

@@ -23,7 +23,7 @@ from palpate.psychophysics.analysis import (
     wald_full_width,
     wilson_interval,
 )
-from palpate.psychophysics.rank_observer import RankObserver
+from palpate.psychophysics.judgements import RankObserver
 from palpate.softness import SoftObject
 from palpate_reproductions.softness.observers import (
     CueNeeds,

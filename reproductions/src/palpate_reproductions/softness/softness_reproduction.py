@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from palpate.core import Progress, new_folder, silent
-from palpate.mechanics.half_space.hertz_pairs import Body, alike_to_the_arm, alike_to_the_skin
+from palpate.mechanics.half_space.hertz import Body, alike_to_the_arm, alike_to_the_skin
 from palpate.reports.certificate_page import filled_template
 from palpate.reports.softness_figures import (
     bandwidth_panels,
@@ -35,11 +35,10 @@ from palpate.softness import (
     specimens,
 )
 from palpate.softness.control import FlowServo, PidServo, PressureServo
-from palpate.softness.display_bench_test import BenchTest
+from palpate.softness.display_bench_test import BenchTest, PressureResponse
 from palpate.softness.display_parts import ProportionalValve
-from palpate.softness.pressure_response import PressureResponse
 from palpate.softness.rendering_simulation import Rendering, simulate
-from palpate.softness.virtual.indentation_bench import virtual_bench_test, virtual_pressure_response
+from palpate.softness.virtual.rendering_bench import virtual_bench_test, virtual_pressure_response
 from palpate.version import __version__
 from palpate_reproductions.softness.judged_page import judged_shown
 from palpate_reproductions.softness.judged_softness import JudgedSoftness, judged_entries, judged_softness

@@ -21,16 +21,14 @@ import numpy as np
 
 from palpate.core import Float, ndarray
 from palpate.estimators.compliance.pin_press import at_forces
-from palpate.estimators.compliance.press_force import loading, moving_average, within
 from palpate.estimators.compliance.spread_rate import area_m2, paper_spread, spread
-from palpate.estimators.flow.flow_sequence import course
-from palpate.estimators.flow.horn_schunck import divergence
+from palpate.estimators.compliance.stiffness_curve import loading, moving_average, within
+from palpate.estimators.flow.horn_schunck import course, divergence
 from palpate.mechanics.axisymmetric.tip_table import HeadOnPress
 from palpate.rig.virtual.linear_rig import LINEAR_RIG, LinearRig
 from palpate.sensors.tactip import PINS_331, HeadOn, TacTipSpec
-from palpate.sensors.tactip.skin_and_markers import HeadOnSkin
 from palpate.sensors.tactip.tactip_camera import projected
-from palpate.sensors.tactip.tactip_press import modulus_pa, pixels_per_tangent
+from palpate.sensors.tactip.tactip_press import HeadOnSkin, modulus_pa, pixels_per_tangent
 from palpate.workflows.tactip_trials import VirtualPress, record_press
 
 LOW_N, HIGH_N = 0.5, 5.0
@@ -117,7 +115,7 @@ def recorded(
 def flow_divergence(
     trial: VirtualPress, circles: DivergenceSeries, method: str = "horn-schunck"
 ) -> DivergenceSeries:
-    """Mean divergence by a method of `flow_sequence.course`, for every step and region."""
+    """Mean divergence by a method of `horn_schunck.course`, for every step and region."""
     far = _from_axis(trial)
     results: dict[str, list[float]] = {name: [] for name in circles}
     for j, step in enumerate(course(trial.frames(), method)):

@@ -22,8 +22,8 @@ from palpate.calibration.compliance.compliance_calibration import (
 )
 from palpate.calibration.compliance.compliance_reading import PressReading, read_touch
 from palpate.calibration.compliance.press_cues import PressCues, cues_of
+from palpate.calibration.compliance.reference_stiffness import series_line
 from palpate.calibration.compliance.specimen_comparison import trials_table
-from palpate.calibration.compliance.specimen_stiffness import series_line
 from palpate.core import Float, Progress, ndarray
 from palpate.psychophysics import Line, fit_line
 from palpate.recordings.exchange.press_table import PressTable

@@ -3,8 +3,8 @@
 from palpate.calibration.compliance.compliance_calibration import calibrate_folder
 from palpate.calibration.compliance.latency_file import CameraLatency, measure_latency
 from palpate.calibration.compliance.press_cues import press_record, read_press
+from palpate.calibration.compliance.reference_stiffness import plate_stiffness
 from palpate.calibration.compliance.specimen_comparison import compare_specimens
-from palpate.calibration.compliance.specimen_stiffness import plate_stiffness
 
 __all__ = [
     "CameraLatency",

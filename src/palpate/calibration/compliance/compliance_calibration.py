@@ -14,10 +14,10 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from palpate.calibration.certificate import contents_id, load_record, save_record
 from palpate.calibration.compliance.contact_shape import rigid_plate_stretch
 from palpate.calibration.compliance.press_nuisances import Nuisances
 from palpate.calibration.compliance.reference_stiffness import check_references
-from palpate.calibration.flat_record import contents_id, load_record, save_record
 from palpate.core import (
     Float,
     InputError,
@@ -29,17 +29,25 @@ from palpate.core import (
     refuse_existing,
     silent,
 )
-from palpate.core.refusal import ReasonCode, Refusal
+from palpate.core.reading import ReasonCode, Refusal
 from palpate.estimators.compliance.contact_area import (
     AreaFit,
     Motions,
+    RigidPlateStretch,
     fit_area,
     fit_motions,
     left_out_areas,
     ring_measures,
 )
-from palpate.estimators.compliance.contact_region import RigidPlateStretch
-from palpate.estimators.compliance.hertz_inversion import Finger, PressCurves, fit_finger, invert_hertz
+from palpate.estimators.compliance.hertz_inversion import (
+    Finger,
+    PressCurves,
+    Roundness,
+    ShapeSurface,
+    fit_finger,
+    fit_shape_surface,
+    invert_hertz,
+)
 from palpate.estimators.compliance.pin_press import (
     PinPress,
     Seat,
@@ -49,8 +57,7 @@ from palpate.estimators.compliance.pin_press import (
     motion_on_layout,
     sideways_px,
 )
-from palpate.estimators.compliance.rate_calibration import RateFit, fit_rate
-from palpate.estimators.compliance.shape_surface import Roundness, ShapeSurface, fit_shape_surface
+from palpate.estimators.compliance.spread_rate import RateFit, fit_rate
 from palpate.estimators.compliance.stiffness_curve import SoftnessCurve, fit_softness, softness
 from palpate.recordings.exchange.frame_sequences import FrameSequence, open_sequence
 from palpate.recordings.exchange.press_folder import (

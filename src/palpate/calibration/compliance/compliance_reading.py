@@ -19,18 +19,21 @@ from palpate.calibration.compliance.compliance_calibration import (
     shape_reasons,
     touch_row,
 )
-from palpate.calibration.compliance.cue_agreement import CueMisfit, greatest_misfit, worst_misfit
 from palpate.calibration.compliance.press_nuisances import Nuisances
-from palpate.calibration.compliance.press_verdict import drift_of, misfit_reasons, press_reasons
+from palpate.calibration.compliance.press_verdict import (
+    CueMisfit,
+    drift_of,
+    greatest_misfit,
+    misfit_reasons,
+    press_reasons,
+    worst_misfit,
+)
 from palpate.core import Drift, Float, InputError, RangeError, Reading, ndarray
-from palpate.core.refusal import SEPARATOR, ReasonCode, Refusal, joined
-from palpate.estimators.compliance.contact_area import AreaFit, ring_measures
-from palpate.estimators.compliance.contact_region import RigidPlateStretch
-from palpate.estimators.compliance.hertz_inversion import PressCurves, invert_hertz
+from palpate.core.reading import SEPARATOR, ReasonCode, Refusal, joined
+from palpate.estimators.compliance.contact_area import AreaFit, RigidPlateStretch, ring_measures
+from palpate.estimators.compliance.hertz_inversion import PressCurves, ShapeSurface, invert_hertz
 from palpate.estimators.compliance.pin_press import PinPress, at_forces, motion_on_layout
-from palpate.estimators.compliance.rate_calibration import RateFit
-from palpate.estimators.compliance.shape_surface import ShapeSurface
-from palpate.estimators.compliance.spread_rate import spread
+from palpate.estimators.compliance.spread_rate import RateFit, spread
 from palpate.estimators.compliance.stiffness_curve import SoftnessCurve, softness
 
 COVERAGE = 0.9

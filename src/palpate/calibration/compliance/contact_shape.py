@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from palpate.core import InputError, RangeError
-from palpate.estimators.compliance.contact_region import (
+from palpate.estimators.compliance.contact_area import (
     Field,
     RigidPlateStretch,
     cell_growth,

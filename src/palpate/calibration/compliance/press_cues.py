@@ -18,11 +18,15 @@ from palpate.calibration.compliance.compliance_calibration import (
 from palpate.calibration.compliance.compliance_reading import PressReading, read_touch
 from palpate.calibration.compliance.contact_shape import contact_shape
 from palpate.calibration.compliance.latency_file import CameraLatency, with_latency
-from palpate.calibration.compliance.specimen_stiffness import series_line
+from palpate.calibration.compliance.reference_stiffness import series_line
 from palpate.core import InputError, Reading, Shaped, ndarray
-from palpate.core.refusal import SEPARATOR
-from palpate.estimators.compliance.literature_method import AsReported, as_reported, circle_through_pins
-from palpate.estimators.compliance.spread_rate import refuse_literal
+from palpate.core.reading import SEPARATOR
+from palpate.estimators.compliance.spread_rate import (
+    AsReported,
+    as_reported,
+    circle_through_pins,
+    refuse_literal,
+)
 from palpate.estimators.pins import grey_frame
 from palpate.psychophysics import Line
 from palpate.recordings.exchange.frame_sequences import open_sequence

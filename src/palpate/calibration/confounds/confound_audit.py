@@ -8,26 +8,39 @@ import cv2
 import numpy as np
 
 from palpate.calibration.calibration_job import CalibrationJob, is_grouped, presses_of, recordings_of
-from palpate.calibration.confounds.deciding_pixels import MAP_FILE, DecidingPixels
-from palpate.calibration.confounds.kernel_regression import Kernels, explained_share, interleaved_blocks
-from palpate.calibration.confounds.outside_control import TellingCell, outside_control, telling_cells
-from palpate.calibration.confounds.recorded_units import RecordedUnits, recorded_units
 from palpate.calibration.confounds.row_order import (
     OrderCheck,
+    RecordedUnits,
     ShiftCheck,
     extrapolates,
     folds_among,
     order_checks,
+    recorded_units,
     sampled,
     shift_check,
     told_by_neighbors,
 )
-from palpate.calibration.confounds.skin_region import RegionSource, SkinRegion, boxed, find_skin
-from palpate.calibration.confounds.target_functions import TargetFunction, target_functions
+from palpate.calibration.confounds.skin_region import (
+    MAP_FILE,
+    DecidingPixels,
+    RegionSource,
+    SkinRegion,
+    TellingCell,
+    boxed,
+    find_skin,
+    outside_control,
+    telling_cells,
+)
+from palpate.calibration.confounds.target_functions import (
+    Kernels,
+    TargetFunction,
+    explained_share,
+    interleaved_blocks,
+    target_functions,
+)
 from palpate.core import Float32, Indices, Progress, Values, silent
-from palpate.estimators.finding_cards import ConfoundCard, TargetConfoundCard
-from palpate.estimators.findings import Finding, FindingCode, ranked
-from palpate.estimators.target_layout import Outputs
+from palpate.estimators.class_sets import Outputs
+from palpate.estimators.findings import ConfoundCard, Finding, FindingCode, TargetConfoundCard, ranked
 from palpate.recordings import PackedSet
 
 MAX_ROWS = 400  # rows that are tested, evenly spaced over the recording

@@ -1,6 +1,6 @@
 """Coverage in parts: over a target's range, of several targets together, and where a range ends."""
 
-from palpate.calibration.coverage.range_fit import fit_range_intervals
+from palpate.calibration.coverage.conformal import fit_range_intervals
 from palpate.calibration.coverage.range_scores import (
     card_findings,
     range_cards,

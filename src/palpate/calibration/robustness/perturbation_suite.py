@@ -15,7 +15,7 @@ import onnx
 from scipy.stats import fisher_exact
 
 from palpate.calibration.calibration_job import CalibrationJob
-from palpate.calibration.coverage.circular_scores import (
+from palpate.calibration.coverage.range_scores import (
     calibrated_arc,
     mean_of,
     shortest,
@@ -24,7 +24,8 @@ from palpate.calibration.coverage.circular_scores import (
 from palpate.calibration.robustness.perturbations import KINDS, kinds_for, perturbed
 from palpate.core import Bool, Float, Image, Indices, Int, Progress, Shaped, Tensor, UInt8, Values, silent
 from palpate.estimators.certified import Estimator, checked_file
-from palpate.estimators.finding_cards import PerturbationCard, RobustnessCard
+from palpate.estimators.class_sets import Outputs, TargetLayout
+from palpate.estimators.findings import PerturbationCard, RobustnessCard
 from palpate.estimators.guard import (
     MAX_HARM,
     ChangeExamples,
@@ -42,7 +43,6 @@ from palpate.estimators.guard import (
 from palpate.estimators.intervals import Intervals
 from palpate.estimators.model_card import NO_BETTER
 from palpate.estimators.networks.model_interface import Fitted
-from palpate.estimators.target_layout import Outputs, TargetLayout
 from palpate.recordings import Split
 
 MIN_ROWS = 50  # held-out frames needed for the cost of a change and false refusals

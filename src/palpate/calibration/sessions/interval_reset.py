@@ -3,10 +3,29 @@
 Of n exchangeable scores a new one is below the r-th smallest, r = ceil(c (n + 1)), with probability r / (n +
 1) (V. Vovk, A. Gammerman and G. Shafer, Algorithmic Learning in a Random World, Springer 2005,
 doi:10.1007/b106715); n counts presses. Given the rows, the coverage is Beta(r, n + 1 - r).
+
+Intervals for a future session, from errors in held-out sessions.
+
+Errors within a session are correlated, so the promise rests on the number of sessions K.
+
+**Distribution-free**, where K (1 - c) >= c (nine sessions at c = 0.9): the r-th smallest of one score per
+session, r = ceil(c (K + 1)), covers a new session with probability r / (K + 1) (R. Dunn, L. Wasserman and A.
+Ramdas, J. Am. Stat. Assoc. 118, 2491 (2023), section 4, doi:10.1080/01621459.2022.2060112). The mean over all
+drawings is computed in closed form; by Jensen's inequality it covers at least as often where larger errors
+are rarer, and it is at least the rows' own weighted quantile. Beyond 200 sessions the weighted quantile at c
+(K + 1) / K is used (Y. Lee, R. F. Barber and R. Willett, arXiv:2306.06342).
+
+**Parametric**, for two sessions and more: errors are Gaussian about an offset that is Gaussian between
+sessions. Each session is one observation of the mean squared error; the half-width is Student's t with K
+degrees of freedom times its root. Nothing is guaranteed where offsets are not Gaussian.
+
+The kept model has seen all sessions; one session more must change it little (jackknife: R. F. Barber et al.,
+Ann. Statist. 49, 486 (2021), doi:10.1214/20-AOS1965).
 """
 
 from __future__ import annotations
 
+import math
 import shutil
 import tempfile
 import time
@@ -17,7 +36,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy.stats import beta
+from scipy.stats import beta, norm, t as student
 from sklearn.model_selection import GroupKFold
 
 from palpate.calibration.calibration_job import (
@@ -38,13 +57,20 @@ from palpate.calibration.certificate import (
     run_card,
     write_picture,
 )
-from palpate.calibration.classes import ClassLabels, HeldOutClasses, known_codes, target_values
-from palpate.calibration.classes.prediction_sets import held_out_classes
+from palpate.calibration.classes import (
+    ClassLabels,
+    HeldOutClasses,
+    held_out_classes,
+    known_codes,
+    target_values,
+)
+from palpate.calibration.coverage.conformal import fit_spread, parts_by_group, spread_terms
 from palpate.calibration.coverage.grouped_rates import (
     grouped_coverage_interval,
     is_distribution_free,
     new_group_quantile,
     rank_of_new_group,
+    weighted_quantile,
 )
 from palpate.calibration.coverage.range_scores import range_cards
 from palpate.calibration.evaluation import predictions, rows_to_score, same_session, score, zeros_of
@@ -56,8 +82,8 @@ from palpate.calibration.robustness.perturbation_suite import (
 )
 from palpate.core import Float, InputError, PathText, Progress, Values, new_folder, refuse_existing, silent
 from palpate.estimators.certified import CARD_FILE, Estimator, checked_file
-from palpate.estimators.class_sets import ClassCard, ClassOutputs
-from palpate.estimators.finding_cards import IntervalResetCard, RobustnessCard, SessionsCard
+from palpate.estimators.class_sets import ClassCard, ClassOutputs, Outputs, TargetLayout
+from palpate.estimators.findings import IntervalResetCard, RobustnessCard, SessionsCard
 from palpate.estimators.guard import NoveltyDetector
 from palpate.estimators.intervals import Intervals, intervals_of, layout_of, mahalanobis, within
 from palpate.estimators.model_card import (
@@ -69,12 +95,10 @@ from palpate.estimators.model_card import (
     VectorCard,
     sealed,
 )
-from palpate.estimators.target_layout import Outputs
 from palpate.recordings import Run, Split, pack
 from palpate.recordings.joined_runs import check_instruments, sessions_of
-from palpate.recordings.label_tables import with_own
-from palpate.recordings.reference_instruments import ReferenceInstrument
-from palpate.recordings.table_files import write_table
+from palpate.recordings.label_tables import with_own, write_table
+from palpate.recordings.manifest import ReferenceInstrument
 
 FOLDS_OF_GUARD = 10
 
@@ -472,3 +496,90 @@ def _sessions(former: Card, rows: _SessionRows, text: str) -> SessionsCard:
         findings=before.findings if before else (),
         text=text,
     )
+
+
+def few_sessions_factor(sessions: int, coverage: float) -> float:
+    """Return Student's over the Gaussian quantile: the cost of few sessions in width.
+
+    Example:
+        >>> [round(few_sessions_factor(count, 0.9), 2) for count in (2, 5, 8)]
+        [1.78, 1.23, 1.13]
+    """
+    level = (1 + coverage) / 2
+    return float(student.ppf(level, sessions) / norm.ppf(level))
+
+
+def parametric_quantile(scores: Float[np.ndarray, " n"], groups: np.ndarray, coverage: float) -> float:
+    """Return the score that one of a new group stays below, by the parametric rule; at least that factor
+    times the quantile of the scores with equal weight per group.
+
+    Args:
+        groups: group of each row ``[n]``, of two or more.
+        coverage: 0 to 1.
+    """
+    _, of = np.unique(groups, return_inverse=True)
+    counts = np.bincount(of)
+    squares = np.bincount(of, weights=scores**2) / counts
+    gaussian = float(norm.ppf((1 + coverage) / 2) * np.sqrt(squares.mean()))
+    return few_sessions_factor(len(counts), coverage) * max(
+        gaussian, weighted_quantile(np.abs(scores), of, coverage)
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class SessionSpread:
+    """Standard deviation of a target's errors between sessions (less the part by chance) and within [the
+    target's unit].
+    """
+
+    between: float
+    within: float
+
+    @classmethod
+    def of(cls, errors: Float[np.ndarray, " n"], groups: np.ndarray) -> SessionSpread:
+        """From signed errors of held-out rows and the label of each row's session ``[n]``."""
+        _, of = np.unique(groups, return_inverse=True)
+        counts = np.bincount(of)
+        means = np.bincount(of, weights=errors) / counts
+        variances = np.bincount(of, weights=(errors - means[of]) ** 2) / np.maximum(counts - 1, 1)
+        between = float(np.mean(means**2 - variances / counts))
+        return cls(math.sqrt(max(between, 0.0)), math.sqrt(float(variances.mean())))
+
+
+def intervals_of_sessions(
+    predicted: Outputs,
+    true: Values,
+    sessions: np.ndarray,
+    groups: np.ndarray,
+    coverage: float,
+    layout: TargetLayout | None = None,
+) -> Intervals:
+    """Return intervals that cover the truth at the rate `coverage` in a session not yet seen.
+
+    Args:
+        predicted: outputs ``[n o]`` of models that had not seen the row's session.
+        true: labels ``[n t]``.
+        sessions: session of each row ``[n]``, two or more.
+        groups: group within the sessions ``[n]``, such as the press.
+        layout: of the targets in the outputs; None where each is one.
+    """
+    names, of = np.unique(sessions, return_inverse=True)
+    if len(names) < 2:
+        raise InputError("intervals for a new session need two sessions or more that were held out")
+    layout = layout or TargetLayout((None,) * true.shape[1])
+    errors = layout.differences(layout.decoded(predicted), true)
+    terms = spread_terms(predicted, np.abs(errors), groups)
+    whole = fit_spread(predicted, np.abs(errors), terms)
+    scores = np.empty_like(true)
+    for rest, held in parts_by_group(of):
+        # With one scale for all, which the quantile undoes: the others' would only add their scatter.
+        spread = replace(fit_spread(predicted[rest], np.abs(errors[rest]), terms), typical=whole.typical)
+        scores[held] = errors[held] / spread.at(predicted[held])
+    free = is_distribution_free(len(names), coverage)
+    quantile = [
+        new_group_quantile(np.abs(column), of, coverage)
+        if free
+        else parametric_quantile(column, of, coverage)
+        for column in scores.T
+    ]
+    return Intervals(whole, np.array(quantile), coverage, layout=layout)

@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from palpate.calibration.shear.force_interval import held_out
-from palpate.calibration.shear.labelled_cues import LabelledCues, cues_of_run, joined, mean_marks
+from palpate.calibration.shear.force_law import held_out
 from palpate.calibration.shear.shear_calibration import (
     COVERAGE,
     ShearCalibration,
@@ -20,6 +19,7 @@ from palpate.calibration.shear.shear_calibration import (
     calibration_record,
     usable,
 )
+from palpate.calibration.shear.touch_cues import LabelledCues, cues_of_run, joined, mean_marks
 from palpate.core import (
     Bool,
     Float,

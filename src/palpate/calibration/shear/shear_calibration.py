@@ -17,20 +17,27 @@ from typing import Any
 
 import numpy as np
 
-from palpate.calibration.flat_record import contents_id, load_record, save_record
-from palpate.calibration.shear.force_interval import ForceInterval, fit_interval, held_out
+from palpate.calibration.certificate import contents_id, load_record, save_record
 from palpate.calibration.shear.force_law import (
+    ForceInterval,
     ForceLine,
     MemoryTrace,
+    fit_interval,
     fit_line,
     fit_remembering,
     follow_memory,
+    held_out,
     touched_n,
 )
-from palpate.calibration.shear.labelled_cues import LabelledCues
-from palpate.calibration.shear.touch_cues import PUBLISHED_ALPHA_PX, SIDE_SAMPLES, CueMeter, TouchCues
+from palpate.calibration.shear.touch_cues import (
+    PUBLISHED_ALPHA_PX,
+    SIDE_SAMPLES,
+    CueMeter,
+    LabelledCues,
+    TouchCues,
+)
 from palpate.core import Bool, Drift, Float, Int, Lens, RangeError, Reading, ndarray
-from palpate.core.refusal import NONE, Refusal
+from palpate.core.reading import NONE, Refusal
 from palpate.estimators.lattice import ControlPoints
 from palpate.estimators.shear.touch_places import CODE as OUTSIDE_AREA
 from palpate.version import __version__

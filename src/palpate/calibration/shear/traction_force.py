@@ -13,7 +13,7 @@ from statistics import NormalDist
 import numpy as np
 
 from palpate.core import InputError, RangeError, Reading, Readings
-from palpate.core.refusal import NONE, Refusal
+from palpate.core.reading import NONE, Refusal
 from palpate.estimators.surface_strain import PatternedSkin, RecoveredTraction, StrainFields, recover_traction
 
 RANGE_N = (1.0, 8.0)  # over which recovery was measured; see the how-to

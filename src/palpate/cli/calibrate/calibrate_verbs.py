@@ -143,7 +143,7 @@ def calibrate(
     from palpate.estimators.networks import model_kind
     from palpate.estimators.networks.distributed import ProcessGroup
     from palpate.recordings.joined_runs import joined
-    from palpate.recordings.reference_instruments import read_instruments
+    from palpate.recordings.manifest import read_instruments
 
     if ":" in model + split:
         sys.path.append(str(Path.cwd()))  # a module of one's own lies where one works
@@ -417,9 +417,9 @@ def _choice_lines(card: Any) -> list[str]:
 
 
 def _scores_text(scores: dict[str, Any], card: Card, run: Manifest) -> str:
-    from palpate.calibration.coverage.counted_groups import counted_text
+    from palpate.calibration.coverage.grouped_rates import counted_text
     from palpate.estimators.class_sets import ClassScoreCard
-    from palpate.estimators.finding_cards import ValidScoreCard
+    from palpate.estimators.findings import ValidScoreCard
     from palpate.estimators.model_card import ScoreCard
     from palpate.reports.evaluation_text import (
         class_lines,
@@ -488,7 +488,7 @@ def adapt(
     from palpate.calibration.adaptation import adapt as take_over
     from palpate.calibration.sessions import reset_intervals
     from palpate.estimators.certified import read_card
-    from palpate.recordings.reference_instruments import read_instruments
+    from palpate.recordings.manifest import read_instruments
     from palpate.workflows.certification import REPORT_FILE
 
     stated = {} if instruments is None else read_instruments(instruments)
@@ -569,7 +569,7 @@ def _adapted_text(card: Any, out: Path, report: str) -> str:
 
 def _cells(target: Any, corrections: dict[str, Any]) -> tuple[str, ...]:
     from palpate.core import half_width_text, rounded
-    from palpate.reports.score_intervals import mean_error_half_width, percent
+    from palpate.reports.terminal_text import mean_error_half_width, percent
 
     change, score = corrections[target.column], target.score
     off = mean_error_half_width(score, score.n)

@@ -40,7 +40,7 @@ def calibrate(
     """
     from palpate.calibration.lens import calibrate_lens
     from palpate.core.files import new_file, refuse_existing
-    from palpate.reports.lens_figure import write_lens_figure
+    from palpate.reports.field_figures import write_lens_figure
 
     picture = out.with_suffix(".png")
     for path in (out, picture):
@@ -97,7 +97,7 @@ def undistort(
     Example: palpate lens undistort frame.png --lens lens.json --out flat.png
     """
     from palpate.recordings import read_image
-    from palpate.recordings.rectification import rectified
+    from palpate.recordings.preparation import rectified
 
     found = Lens.read(lens)
     flat = found.flat(None if focal_px is None else (focal_px, focal_px))

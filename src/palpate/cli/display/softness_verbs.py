@@ -14,7 +14,7 @@ from palpate.cli.display import rendering_verbs
 from palpate.cli.verb_support import group, print_found, progress_bar
 
 if TYPE_CHECKING:
-    from palpate.mechanics.half_space.hertz_pairs import Body
+    from palpate.mechanics.half_space.hertz import Body
     from palpate.softness import Rendered, SoftObject, StackedSpecimen
     from palpate.softness.rendering_simulation import Rendering
 
@@ -46,7 +46,7 @@ def kinesthetic(
 
     Example: palpate pairs kinesthetic 1000:2.5 150 --finger 100:15
     """
-    from palpate.mechanics.half_space.hertz_pairs import alike_to_the_arm
+    from palpate.mechanics.half_space.hertz import alike_to_the_arm
 
     _tell_partner("kinesthetic", alike_to_the_arm, words, finger, poisson, force_n, figure)
 
@@ -58,7 +58,7 @@ def cutaneous(
 
     Example: palpate pairs cutaneous 200:30 20 --finger 100:15
     """
-    from palpate.mechanics.half_space.hertz_pairs import alike_to_the_skin
+    from palpate.mechanics.half_space.hertz import alike_to_the_skin
 
     _tell_partner("cutaneous", alike_to_the_skin, words, finger, poisson, force_n, figure)
 
@@ -115,7 +115,7 @@ def _tell_partner(
 def ball_of_words(what: str, text: str, poisson: float) -> Body:
     """An elastic ball of words such as 100:15, in kPa and mm."""
     from palpate.core import InputError, RangeError
-    from palpate.mechanics.half_space.hertz_pairs import Body
+    from palpate.mechanics.half_space.hertz import Body
 
     if not 0 <= poisson <= 0.5:
         raise RangeError(f"a Poisson's ratio of {poisson:g}; 0 to 0.5 are allowed")
@@ -399,7 +399,7 @@ def simulate(
     """
     from palpate.core import InputError
     from palpate.softness import read_object
-    from palpate.softness.control.pressure_servo import PidServo
+    from palpate.softness.control.servos import PidServo
     from palpate.softness.rendering_simulation import simulate as press
 
     kind = rendering_verbs.checked_press(mode, frequency_hz, 20, figure)
@@ -493,7 +493,7 @@ def bench_test(
     """
     from palpate.core import refuse_existing
     from palpate.softness.display_bench_test import write_bench_table
-    from palpate.softness.virtual.indentation_bench import virtual_bench_test
+    from palpate.softness.virtual.rendering_bench import virtual_bench_test
 
     for path in (table, figure):
         refuse_existing(path)

@@ -56,8 +56,7 @@ def press(
     from palpate.core import InputError, RangeError, refuse_existing
     from palpate.mechanics.fingertip_laws import hertz_fingertip
     from palpate.softness.touched_flat import read_touched_flat
-    from palpate.softness.transmission import shared_peak_n, transmit
-    from palpate.softness.transmission.transmission_record import MAX_LIVE_S
+    from palpate.softness.transmission import MAX_LIVE_S, shared_peak_n, transmit
 
     refuse_existing(out)
     if not 0 <= live_s <= MAX_LIVE_S:

@@ -84,7 +84,7 @@ def press(
 
     Example: palpate import press press.avi RUN --force force.csv --rate-hz 30
     """
-    from palpate.recordings.exchange.press_import import import_press
+    from palpate.recordings.exchange.image_import import import_press
 
     with progress_bar() as progress:
         report = import_press(
@@ -149,7 +149,7 @@ def images(
     Example: palpate import images taps run --labels labels.csv --rename Fz=force_N --unit depth=mm
     """
     from palpate.core import InputError
-    from palpate.recordings.exchange.label_units import mending_options
+    from palpate.recordings.exchange.label_files import mending_options
 
     if decimal not in ("auto", "point", "comma"):
         raise InputError(f"--decimal {decimal!r} is none of auto, point and comma")
@@ -261,7 +261,7 @@ def export(
 
     Example: palpate export run folder
     """
-    from palpate.recordings.exchange.folder_export import export_folder
+    from palpate.recordings.exchange.press_export import export_folder
 
     with progress_bar() as progress:
         count = export_folder(palpate.Run.open(run), folder, partial(progress, "exporting"))

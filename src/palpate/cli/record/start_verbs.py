@@ -211,7 +211,7 @@ def force_of(words: str) -> float:
         (0.9807, 2.5)
     """
     from palpate.core import InputError
-    from palpate.rig.real.scale.weight_line import NEWTONS
+    from palpate.rig.real.scale import NEWTONS
 
     text = "" if _GROUPED.search(words) else words.replace(",", ".").strip()
     number = text.rstrip("abcdefghijklmnopqrstuvwxyzN ").strip()
@@ -354,7 +354,7 @@ def _unit(name: str) -> str:
     if not name:
         return ""
     from palpate.core import InputError
-    from palpate.rig.real.scale.weight_line import NEWTONS
+    from palpate.rig.real.scale import NEWTONS
 
     if name not in NEWTONS:
         raise InputError(f"--unit {name}: it is not known; give one of {', '.join(NEWTONS)}")

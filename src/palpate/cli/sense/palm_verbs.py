@@ -34,11 +34,11 @@ def fit(
     Example: palpate calibrate --method palm-unit runs/weights --preset demo --out mine.json
     """
     from palpate.core import refuse_existing
-    from palpate.sensors.palm.copies.copy_advice import unsure_constants
-    from palpate.sensors.palm.copies.palm_copy_fit import fit_copy
-    from palpate.sensors.palm.copies.palm_copy_store import (
+    from palpate.sensors.palm.copies.copy_estimate import unsure_constants
+    from palpate.sensors.palm.copies.palm_copy_fit import (
         MAX_REACH,
         design_for,
+        fit_copy,
         pictured_presses,
         preset_ball,
         preset_radius_m,
@@ -76,7 +76,7 @@ def known(
     """
     from palpate.core import refuse_existing
     from palpate.sensors.palm.copies.palm_copy import measured_copy
-    from palpate.sensors.palm.copies.palm_copy_store import design_for, read_picture, write_copy
+    from palpate.sensors.palm.copies.palm_copy_fit import design_for, read_picture, write_copy
 
     refuse_existing(out)
     design = design_for(preset, read_picture(reference).shape[:2], friction).spec
@@ -101,8 +101,7 @@ def read(image: Picture, reference: Untouched, copy: UnitFile) -> None:
 
     Example: palpate read press.png --with mine.json --reference rest.png --json
     """
-    from palpate.sensors.palm.copies.palm_copy_fit import drift_of, read_press
-    from palpate.sensors.palm.copies.palm_copy_store import read_copy, read_picture
+    from palpate.sensors.palm.copies.palm_copy_fit import drift_of, read_copy, read_picture, read_press
 
     known = read_copy(copy)
     rest = read_picture(reference)
@@ -140,8 +139,12 @@ def weigh(
 
     Example: palpate check-weight w.png --with mine.json --reference rest.png --mass-g 200 --later w2.png
     """
-    from palpate.sensors.palm.copies.palm_copy_store import read_copy, read_picture
-    from palpate.sensors.palm.copies.palm_weight import check_weight, refuse_rolling
+    from palpate.sensors.palm.copies.palm_copy_fit import (
+        check_weight,
+        read_copy,
+        read_picture,
+        refuse_rolling,
+    )
 
     known, laid, rest = read_copy(copy), read_picture(image), read_picture(reference)
     with progress_bar() as tell:

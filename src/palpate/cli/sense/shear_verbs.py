@@ -17,7 +17,7 @@ from palpate.core.sensor import sensor as find_sensor
 if TYPE_CHECKING:
     from palpate.estimators.shear import ShearReader, TiledSkin
     from palpate.reports.shear_page import ShearPage
-    from palpate.sensing.shear_frames import TouchedFrame
+    from palpate.sensing.frame_readers import TouchedFrame
 
 HEAD = ("frame", "contacts", "x", "y", "edge", "gamma", "seen", "notes")
 FLAGS = ("slip", "damage")
@@ -47,13 +47,13 @@ def shear(
     Example: palpate read press.mp4 --reference untouched.png --sensor nusense --json
     """
     from palpate.calibration.shear import ShearCalibration
-    from palpate.sensing.frame_sources import open_source
-    from palpate.sensing.shear_frames import (
+    from palpate.sensing.frame_readers import (
         ForceInTouch,
         first_frame,
         read_touches,
         write_fields,
     )
+    from palpate.sensing.frame_sources import open_source
 
     for path in (fields, html):
         refuse_existing(path)

@@ -15,7 +15,7 @@ from palpate.cli.verb_support import print_found, progress_bar
 
 if TYPE_CHECKING:
     from palpate.recordings.exchange.press_folder import PressFolder
-    from palpate.sensors.palm.membrane_wear import Wear
+    from palpate.sensors.palm.membrane_faults import Wear
 
 
 def palm(
@@ -221,8 +221,7 @@ def _trials_text(
     laws: Mapping[str, str],
 ) -> tuple[dict[str, Any], str]:
     """Result as values and as text."""
-    from palpate.workflows.tactip_specimens import stiffness_shown
-    from palpate.workflows.tactip_trials import TRUTH
+    from palpate.workflows.tactip_trials import TRUTH, stiffness_shown
 
     presses = sum(len(one.presses) for one in folder.specimens)
     shown = {name: stiffness_shown(k) for name, k in bodies.items() if not isinstance(k, str)}
@@ -252,7 +251,7 @@ def _trials_text(
 
 def _wear(presses: float, haze: float | None, scratches: int | None, yellowing: float) -> Wear:
     """Wear after so many presses, save for what is asked for itself."""
-    from palpate.sensors.palm.membrane_wear import worn
+    from palpate.sensors.palm.membrane_faults import worn
 
     wear = replace(worn(presses), yellowing=yellowing)
     wear = wear if haze is None else replace(wear, haze=haze)

@@ -110,7 +110,7 @@ def serve_studio(
 
     name = rig_name(rig or DEFAULT_RIG)
     from palpate.studio.library.workspace import Workspace
-    from palpate.studio.rendering_desk import RenderingDesk
+    from palpate.studio.softness_page import RenderingDesk
 
     shown = Workspace(workspace)
     with storage_errors(workspace):

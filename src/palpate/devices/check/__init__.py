@@ -7,10 +7,9 @@ No other check pushes.
 
 from palpate.devices.check.arm_check import check_arm
 from palpate.devices.check.camera_check import check_camera
-from palpate.devices.check.check_result import CheckResult
 from palpate.devices.check.display_check import check_display
 from palpate.devices.check.force_check import check_force_sensor
-from palpate.devices.check.interface_check import check_interface
+from palpate.devices.check.interface_check import CheckResult, check_interface
 from palpate.devices.check.stage_check import check_stage
 
 __all__ = [

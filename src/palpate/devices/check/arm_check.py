@@ -9,20 +9,21 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from palpate.core import NS_PER_S, ArmSample, Clock, DeviceError, HapticArm, RangeError
-from palpate.devices.check.check_result import (
+from palpate.devices.check.interface_check import (
     CheckResult,
     Part,
+    arm_interface,
     at_most,
     call_elsewhere,
     check_closing,
     describe,
     gather,
     judge,
+    on_clock,
     refusal,
     seconds,
     verdict,
 )
-from palpate.devices.check.interface_check import arm_interface, on_clock
 
 PUSHED_M = 1e-3  # by which a push moves it before it ends
 PUSH_S = 0.3  # that a push lasts at most

@@ -9,10 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from palpate.core import NS_PER_S, Camera, Clock, DeviceError, Float, Frame, RangeError, ndarray
-from palpate.devices.check.check_result import (
+from palpate.devices.check.interface_check import (
     CheckResult,
     Part,
     at_most,
+    camera_interface,
     check_closing,
     describe,
     gather,
@@ -21,7 +22,6 @@ from palpate.devices.check.check_result import (
     seconds,
     verdict,
 )
-from palpate.devices.check.interface_check import camera_interface
 
 FROZEN = 5  # frames in a row that are the same to the last bit, as in the rig
 LAG_S = 0.5  # from the end of an exposure until its frame is here

@@ -9,20 +9,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from palpate.core import NS_PER_S, Clock, DeviceError, DisplaySample, RangeError, SoftnessDevice
-from palpate.devices.check.check_result import (
+from palpate.devices.check.interface_check import (
     CheckResult,
     Part,
     at_most,
     call_elsewhere,
     check_closing,
     describe,
+    display_interface,
     gather,
     judge,
+    on_clock,
     refusal,
     seconds,
     verdict,
 )
-from palpate.devices.check.interface_check import display_interface, on_clock
 
 SHARE = 0.25  # of the greatest pressure, that is held where nothing else is asked for
 NEAR = 0.05  # of the held pressure: so near is the same, and near to 0

@@ -10,18 +10,18 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from palpate.core import NS_PER_S, Clock, ForceSensor, RangeError, Wrench
-from palpate.devices.check.check_result import (
+from palpate.devices.check.interface_check import (
     CheckResult,
     Part,
     at_most,
     check_closing,
+    force_interface,
     gather,
     judge,
     measurement,
     seconds,
     verdict,
 )
-from palpate.devices.check.interface_check import force_interface
 
 AGE_S = 0.1  # oldest sample on which the rig moves
 RATE_WITHIN = 0.05  # of what is stated

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 
 from palpate.core import Clock, DeviceError, Position, RangeError, Stage
-from palpate.devices.check.check_result import (
+from palpate.devices.check.interface_check import (
     CheckResult,
     Part,
     at_most,
@@ -17,9 +17,9 @@ from palpate.devices.check.check_result import (
     gather,
     refusal,
     seconds,
+    stage_interface,
     verdict,
 )
-from palpate.devices.check.interface_check import stage_interface
 from palpate.devices.check.stage_motion import Box, UnsafeError, Walker, spread_m
 
 WITHIN_M = 0.02e-3  # how exactly a stage must stand where it was sent, as everywhere in the rig

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from palpate.core import Clock, Float, Position, RangeError, Stage, ndarray
-from palpate.devices.check.check_result import seconds
+from palpate.devices.check.interface_check import seconds
 
 Box = tuple[Position, Position]
 """Least and greatest corner [m]."""

@@ -32,6 +32,7 @@ from palpate.core import NS_PER_S, Travel, Wrench
 from palpate.devices.force_bias import ForceBias
 from palpate.devices.force_trust.air_noise import (
     AirNoise,
+    SampleDating,
     Six,
     check_fineness,
     check_pace,
@@ -39,7 +40,6 @@ from palpate.devices.force_trust.air_noise import (
     constant_air,
     six_of,
 )
-from palpate.devices.force_trust.sample_dating import SampleDating
 from palpate.devices.force_trust.stiffness_corridor import ForceClimb, StiffnessCorridor, StiffnessRange
 from palpate.devices.motion_limits import Limits
 

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from palpate.core import Bool, Float, InputError, Int, RangeError, Shaped, ndarray
-from palpate.estimators.compliance.press_force import CONTACT_N, loading, smoothed, within
+from palpate.estimators.compliance.stiffness_curve import CONTACT_N, loading, smoothed, within
 from palpate.estimators.pins import PinTracks, find_pins, follow
 
 UNTOUCHED_N = 0.06  # about one step of a 1/16 N sensor

@@ -24,8 +24,8 @@ from scipy.optimize import minimize_scalar, nnls
 from scipy.stats import chi2, norm, t as student, ttest_ind
 
 from palpate.core import Float, InputError, Int, RangeError, ndarray
-from palpate.core.refusal import NONE, Refusal
-from palpate.estimators.compliance.press_force import CONTACT_N, without_spikes
+from palpate.core.reading import NONE, Refusal
+from palpate.estimators.compliance.stiffness_curve import CONTACT_N, without_spikes
 
 COVERAGE = 0.95
 MAX_LATENCY_S = 0.25  # of the latencies looked for, to either side

@@ -2,21 +2,18 @@
 
 from palpate.estimators.fringe_map.colour_order import (
     ColourReader,
-    flat_field,
-    grey_order,
-    nearest_colour,
-    order_from_colour,
-)
-from palpate.estimators.fringe_map.colour_table import (
     ColourTable,
     disc_orders,
+    flat_field,
+    grey_order,
     line_orders,
     measured_table,
+    nearest_colour,
+    order_from_colour,
     read_table,
     table_of,
 )
-from palpate.estimators.fringe_map.frame_noise import FrameNoise, measured_noise
-from palpate.estimators.fringe_map.order_map import OrderMap, Untold
+from palpate.estimators.fringe_map.order_map import FrameNoise, OrderMap, Untold, measured_noise
 from palpate.estimators.fringe_map.phase_order import (
     CAMERA,
     SIX_STEPS,

@@ -1,6 +1,5 @@
 """Guard of a calibration: what frames look like, what changes of the camera cost, whose copy is seen."""
 
-from palpate.estimators.guard.copy_discriminator import CopyDiscriminator
 from palpate.estimators.guard.guard_features import Registration, frame_features, image_features
 from palpate.estimators.guard.known_changes import (
     EXCHANGED,
@@ -15,6 +14,7 @@ from palpate.estimators.guard.known_changes import (
     rescaled,
 )
 from palpate.estimators.guard.novelty import (
+    CopyDiscriminator,
     LearnsFromRendered,
     NeighbourModel,
     NoveltyDetector,

@@ -5,6 +5,8 @@ residual is compared, block by block, with those of its neighbors when their gro
 outlier factor: Breunig et al., SIGMOD 2000, doi:10.1145/335191.335388; reconstruction weights: Roweis and
 Saul, Science 2000, doi:10.1126/science.290.5500.2323). Two numbers with limits reject a stated ratio of the
 calibration's frames; known camera changes (`known_changes`) decide where they were tested.
+
+Discriminator of sensor units along Fisher's axis: 0 is the unit adapted to, 1 the former.
 """
 
 from __future__ import annotations
@@ -513,3 +515,46 @@ def _untouched(untouched: Thumbnails) -> tuple[np.ndarray | None, float, float]:
     spread = max(float(np.median(moved)), MIN_DRIFT_SPREAD_GREY_LEVELS)
     widest = 1.5 * max(float(moved.max()) / spread, 1.0)
     return mean, spread, widest if r >= FEW_REFERENCES else max(widest, MAX_DRIFT_OF_FEW)
+
+
+@dataclass(frozen=True, slots=True)
+class CopyDiscriminator:
+    """Discriminator of sensor units.
+
+    Attributes:
+        axis: Weights of flat thumbnails ``[k]`` [per gray level].
+        limit: Position beyond which an image is assigned to the former unit.
+    """
+
+    axis: Float[np.ndarray, " k"]
+    offset: float
+    limit: float
+
+    def place(self, prepared: Prepared) -> float:
+        """Return an image's position on the axis: 0 for this unit's mean, 1 for the former's."""
+        return float(np.dot(self.axis, thumbnail(prepared).ravel())) - self.offset
+
+    def is_of_former(self, prepared: Prepared) -> bool:
+        """Return whether the image resembles the former unit's."""
+        return self.place(prepared) > self.limit
+
+    def save(self, path: Path) -> None:
+        np.savez_compressed(path, axis=self.axis, offset=self.offset, limit=self.limit)
+
+    @classmethod
+    @parser("copy discriminator", CertificateError, max_bytes=MAX_ARRAY_BYTES)
+    def load(cls, path: Path, size: int) -> CopyDiscriminator:
+        """Read what `save` wrote, for thumbnails of `size` values."""
+        try:
+            arrays = read_arrays(path)
+            axis, offset, limit = (arrays[name] for name in ("axis", "offset", "limit"))
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as e:
+            raise CertificateError(
+                f"{path} tells no copies apart ({e}); adapt again", code="file-damaged"
+            ) from e
+        numbers = np.concatenate([axis.ravel(), offset.ravel(), limit.ravel()])
+        if axis.shape != (size,) or numbers.dtype != np.float64 or not np.isfinite(numbers).all():
+            raise CertificateError(
+                f"{path} does not fit the calibration's thumbnails; adapt again", code="file-misfit"
+            )
+        return cls(axis, float(offset), float(limit))

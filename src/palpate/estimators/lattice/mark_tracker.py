@@ -12,16 +12,17 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from palpate.core import Bool, Float, ImageError, InputError, Shaped, ndarray
-from palpate.estimators.lattice.checkerboard import CheckerboardFind, find_checkerboard
-from palpate.estimators.lattice.control_points import ControlPoints
-from palpate.estimators.lattice.saddle_corners import (
+from palpate.estimators.lattice.checkerboard import (
     MIN_HALF_TURN,
+    CheckerboardFind,
+    find_checkerboard,
     half_turn,
     look_of,
     noise_at,
     refined,
     ring_levels,
 )
+from palpate.estimators.lattice.lattice_growth import ControlPoints
 
 ROUNDS = 2
 NEIGHBOURS = 8

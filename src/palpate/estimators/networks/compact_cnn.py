@@ -22,9 +22,8 @@ from palpate.core import Indices, InputError, Progress, Tensor, Values, silent
 from palpate.core.array_files import read_arrays
 from palpate.core.optional_imports import optional_imports
 from palpate.core.parsing import parser
-from palpate.estimators.networks.camera_variation import CameraVariation
+from palpate.estimators.networks.augmentation import CameraVariation, RotationalSymmetry
 from palpate.estimators.networks.model_interface import Scaler, TrainingData, scaled_errors
-from palpate.estimators.networks.symmetry import RotationalSymmetry
 from palpate.estimators.networks.torch_export import TorchGraph
 
 with optional_imports("A network"):

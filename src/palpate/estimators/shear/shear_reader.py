@@ -19,14 +19,18 @@ import cv2
 import numpy as np
 
 from palpate.core import Float, Frame, InputError, Lens, RangeError, Readings, Shaped, ndarray
-from palpate.core.refusal import NONE, Refusal
-from palpate.estimators.brightest_channel import brightest_channel
+from palpate.core.reading import NONE, Refusal
+from palpate.estimators.fringe_light import brightest_channel
 from palpate.estimators.lattice import ControlPoints, DottedSkin
-from palpate.estimators.shear.camera_motion import camera_motion
-from palpate.estimators.shear.reference_check import refuse_reference
-from palpate.estimators.shear.skin_damage import damage_of
+from palpate.estimators.shear.reference_check import damage_of, refuse_reference
 from palpate.estimators.shear.skin_marks import DotMarks, SkinMarks, TiledSkin, TileMarks
-from palpate.estimators.shear.touch_places import TouchPlace, TouchPlaces, reach_of, touch_places
+from palpate.estimators.shear.touch_places import (
+    TouchPlace,
+    TouchPlaces,
+    camera_motion,
+    reach_of,
+    touch_places,
+)
 from palpate.estimators.shear.touch_readings import touch_readings
 from palpate.estimators.surface_strain import StrainFields, StrainMeter
 

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from palpate.core import Bool, Float, ImageError, InputError, Int, Lens, RangeError, Shaped, UInt8, ndarray
-from palpate.estimators.brightest_channel import brightest_channel
+from palpate.estimators.fringe_light import brightest_channel
 from palpate.estimators.lattice import ControlPoints, DottedSkin, MarkTracker, TrackedPoints, find_dots
 from palpate.estimators.surface_strain import PatternedSkin, on_plane
 

@@ -11,13 +11,12 @@ import math
 from typing import Any, NamedTuple
 
 from palpate.core import CircularReading, ClassReading, Frame, MeasurementResult, Reading, Readings
-from palpate.core.refusal import NONE, Refusal
-from palpate.estimators.shear.camera_motion import motion_limit
+from palpate.core.reading import NONE, Refusal
 from palpate.estimators.shear.reference_check import LatticeFit
 from palpate.estimators.shear.skin_marks import SkinMarks, TiledSkin
-from palpate.estimators.shear.touch_places import TouchPlace, TouchPlaces, area_of
+from palpate.estimators.shear.touch_places import TouchPlace, TouchPlaces, area_of, motion_limit
 from palpate.estimators.surface_strain import RecoveredTraction, ShearRing, StrainFields, shear_measure
-from palpate.estimators.surface_strain.shear_measure import PUBLISHED_ALPHA
+from palpate.estimators.surface_strain.strain_fields import PUBLISHED_ALPHA
 
 MIN_SHIFT_ERROR = 3.0  # times the marks' noise: standard error of a shift even where no friction is assumed
 MIN_TURN_ERROR = 2.0  # the same of a rotation, over the pitch

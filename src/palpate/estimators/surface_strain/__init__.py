@@ -1,20 +1,20 @@
 """Surface through a skin's marks, its strain, and what the strain tells of a touch."""
 
-from palpate.estimators.surface_strain.edge_direction import EdgeDirection, axial_difference, edge_direction
 from palpate.estimators.surface_strain.ring_detection import ContactPeak, ShearRing, contact_peaks, find_rings
-from palpate.estimators.surface_strain.shear_measure import (
+from palpate.estimators.surface_strain.spline_surface import SurfaceBasis, surface_basis
+from palpate.estimators.surface_strain.strain_fields import (
+    EdgeDirection,
     ShearMeasure,
+    StrainErrors,
+    StrainFields,
+    StrainMeter,
+    axial_difference,
+    edge_direction,
+    on_plane,
     published_force_n,
     published_gamma,
     shear_from_pressure,
     shear_measure,
-)
-from palpate.estimators.surface_strain.spline_surface import SurfaceBasis, surface_basis
-from palpate.estimators.surface_strain.strain_fields import (
-    StrainErrors,
-    StrainFields,
-    StrainMeter,
-    on_plane,
     strain_fields,
 )
 from palpate.estimators.surface_strain.traction_recovery import (

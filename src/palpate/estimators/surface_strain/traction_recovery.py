@@ -36,8 +36,8 @@ from palpate.estimators.surface_strain.ring_detection import (
     stretch_over_noise,
 )
 from palpate.estimators.surface_strain.strain_fields import StrainFields
+from palpate.mechanics.layers.influence import Cells, spread
 from palpate.mechanics.layers.stack import Stack, climb
-from palpate.mechanics.layers.surface_grid import Cells, spread
 
 Closure = Literal["frictionless", "coulomb", "bonded"]
 Matrix = Float[ndarray, "_ _"]

@@ -19,8 +19,8 @@ import numpy as np
 from scipy import fft
 
 from palpate.core import Complex64, Field, Float, Float32, InputError, Int, RangeError, ndarray
+from palpate.mechanics.layers.influence import block_span, cells
 from palpate.mechanics.layers.stack import LONG_WAVE, Material, Slab, climb
-from palpate.mechanics.layers.surface_grid import block_span, cells
 
 STEP = 0.0155  # step of k z in the table, for an error of 3e-5
 ENTRIES = 1024  # increment of table sizes, so that tables are shared

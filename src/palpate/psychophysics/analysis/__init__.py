@@ -16,9 +16,12 @@ from palpate.psychophysics.analysis.experiment_analysis import (
     analyse_experiment,
 )
 from palpate.psychophysics.analysis.proportions import (
+    PlannedStudy,
     clopper_pearson_interval,
     cluster_interval,
     newcombe_interval,
+    participants_needed,
+    simulated_power,
     wald_full_width,
     wald_half_width,
     wald_interval,
@@ -26,19 +29,15 @@ from palpate.psychophysics.analysis.proportions import (
 )
 from palpate.psychophysics.analysis.psychometric_fit import (
     PsychometricFit,
+    PsychometricFunction,
+    SigmoidShape,
     fit_psychometric,
 )
-from palpate.psychophysics.analysis.psychometric_function import PsychometricFunction, SigmoidShape
 from palpate.psychophysics.analysis.rank_confusion import (
     RankConfusion,
     confusion_of_places,
     rank_confusion,
     rank_correlation,
-)
-from palpate.psychophysics.analysis.sample_size import (
-    PlannedStudy,
-    participants_needed,
-    simulated_power,
 )
 
 __all__ = [

@@ -32,8 +32,7 @@ from palpate.psychophysics.analysis.proportions import (
     wald_interval,
     wilson_interval,
 )
-from palpate.psychophysics.analysis.psychometric_fit import PsychometricFit, fit_psychometric
-from palpate.psychophysics.analysis.psychometric_function import SigmoidShape
+from palpate.psychophysics.analysis.psychometric_fit import PsychometricFit, SigmoidShape, fit_psychometric
 from palpate.psychophysics.analysis.rank_confusion import (
     RankConfusion,
     confusion_of_places,

@@ -23,8 +23,12 @@ import numpy as np
 
 from palpate.core import InputError, new_folder
 from palpate.psychophysics.experiments.experiment_file import ExperimentDesign
-from palpate.psychophysics.experiments.participant_record import ParticipantRecord, label_of
-from palpate.psychophysics.experiments.response_log import HEADER, response_lines
+from palpate.psychophysics.experiments.participant_record import (
+    HEADER,
+    ParticipantRecord,
+    label_of,
+    response_lines,
+)
 from palpate.psychophysics.experiments.sitting import (
     check_owner,
     home_of,

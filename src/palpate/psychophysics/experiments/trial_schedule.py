@@ -23,7 +23,13 @@ from functools import lru_cache
 from typing import TypeVar
 
 from palpate.core import InputError, LabelError
-from palpate.psychophysics.experiments.bayesian_placement import Placement
+from palpate.psychophysics.experiments.adaptive_placement import (
+    Placement,
+    StaircaseRule,
+    StaircaseState,
+    begin_staircase,
+    step_staircase,
+)
 from palpate.psychophysics.experiments.experiment_file import (
     BayesianPart,
     ConstantPart,
@@ -34,12 +40,6 @@ from palpate.psychophysics.experiments.experiment_file import (
     StaircasePart,
     StimuliPart,
     task_of,
-)
-from palpate.psychophysics.experiments.staircases import (
-    StaircaseRule,
-    StaircaseState,
-    begin_staircase,
-    step_staircase,
 )
 from palpate.psychophysics.judgements import Condition, Judgement, Presentation, Task
 

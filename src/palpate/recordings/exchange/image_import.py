@@ -2,6 +2,12 @@
 
 Rows shifted against their images are detected by a linear map from changes of small pictures to changes of a
 label, fitted on half of the rows and scored on the other, for several shifts.
+
+Press as a multi-page TIFF or a video, with a table of force, turned into a run.
+
+Frames carry force, position and the contact's area at their own time as labels, as far as the table has them;
+its samples go into the run's own streams at their own rate, force as z of the wrench and position as z of the
+stage.
 """
 
 from __future__ import annotations
@@ -35,15 +41,17 @@ from palpate.core import (
     split_column,
 )
 from palpate.core.provenance import Provenance
-from palpate.recordings.exchange.folder_export import FILE_COLUMN, TIME_COLUMN
+from palpate.recordings.exchange.frame_sequences import FrameSequence, open_sequence
 from palpate.recordings.exchange.image_files import read_image
-from palpate.recordings.exchange.label_units import unit_doubts, with_units
+from palpate.recordings.exchange.label_files import unit_doubts, with_units
 from palpate.recordings.exchange.labelled_images import (
     LabelLayout,
     LabelledImages,
     find_labelled_images,
     refuse_strays,
 )
+from palpate.recordings.exchange.press_export import FILE_COLUMN, TIME_COLUMN
+from palpate.recordings.exchange.press_table import PressTable, read_press_table
 from palpate.recordings.label_tables import Decimal, label_kinds, rows_text
 from palpate.recordings.manifest import MANIFEST, Manifest
 from palpate.recordings.run_reader import NAME_COLUMN
@@ -406,3 +414,71 @@ def _report(table: pd.DataFrame, doubts: tuple[str, ...] = ()) -> ImportReport:
 def _tell(progress: ProgressCount | None, done: int, total: int) -> None:
     if progress is not None:
         progress(done, total)
+
+
+def import_press(
+    frames: Path,
+    run: Path,
+    *,
+    force: Path,
+    force_column: str | None = None,
+    position_column: str | None = None,
+    rate_hz: float | None = None,
+    sensor: str = "",
+    licence: str = "",
+    origin: str = "",
+    provenance: Provenance | None = None,
+    progress: ProgressCount | None = None,
+) -> ImportReport:
+    """Turn one press into a run, which appears whole or not at all.
+
+    Args:
+        run: the run to make; must not exist.
+        force: the table; see `read_press_table` for it and its columns.
+    """
+    refuse_existing(run)
+    with open_sequence(frames) as sequence:
+        table = read_press_table(
+            force, len(sequence), force_column=force_column, position_column=position_column, rate_hz=rate_hz
+        )
+        names = _label_names(table)
+        manifest = Manifest.new(
+            sensor=sensor,
+            licence=licence,
+            origin=origin,
+            provenance=provenance or Provenance.MEASURED,
+            labels=dict.fromkeys(names, "number"),
+        )
+        with whole_run(run, manifest) as writer:
+            _samples(writer, table)
+            _frames(writer, table, sequence, progress)
+    units = {name: name.rpartition("_")[2] for name in names}
+    return ImportReport(len(table.frame_sample), names, units, ())
+
+
+def _label_names(table: PressTable) -> tuple[str, ...]:
+    position = () if table.position_m is None else ("position_mm",)
+    area = () if table.area_column is None else (table.area_column,)
+    return ("force_N", *position, *area)
+
+
+def _samples(writer: RunWriter, table: PressTable) -> None:
+    for i, (seconds, newtons) in enumerate(zip(table.time_s, table.force_n, strict=True)):
+        time_ns = round(seconds * NS_PER_S)
+        writer.force((0.0, 0.0, float(newtons), 0.0, 0.0, 0.0), time_ns=time_ns)
+        if table.position_m is not None:
+            writer.stage((0.0, 0.0, float(table.position_m[i])), time_ns=time_ns)
+
+
+def _frames(
+    writer: RunWriter, table: PressTable, sequence: FrameSequence, progress: ProgressCount | None
+) -> None:
+    for k, (image, sample) in enumerate(zip(sequence, table.frame_sample, strict=True)):
+        labels = {"force_N": float(table.force_n[sample])}
+        if table.position_m is not None:
+            labels["position_mm"] = 1e3 * float(table.position_m[sample])
+        if table.area_m2 is not None and table.area_column and np.isfinite(table.area_m2[sample]):
+            labels[table.area_column] = 1e6 * float(table.area_m2[sample])
+        writer.frame(image, time_ns=round(table.time_s[sample] * NS_PER_S), labels=labels)
+        if progress is not None:
+            progress(k + 1, len(table.frame_sample))

@@ -1,17 +1,5 @@
 """Segments of a run: MCAP files of frames and of signals, written, read up to any damage, and their words."""
 
-from palpate.recordings.segments.message_schema import (
-    EVENTS,
-    FORCE,
-    FRAMES,
-    LABELS,
-    RAW,
-    RECORDED,
-    STAGE,
-    Channel,
-    decode,
-    decode_json,
-)
 from palpate.recordings.segments.segment_reader import (
     Damage,
     StoredFrame,
@@ -21,7 +9,22 @@ from palpate.recordings.segments.segment_reader import (
     scan,
     scan_growing,
 )
-from palpate.recordings.segments.segment_writer import KINDS, Segment, file_name, segment_numbers
+from palpate.recordings.segments.segment_writer import (
+    EVENTS,
+    FORCE,
+    FRAMES,
+    KINDS,
+    LABELS,
+    RAW,
+    RECORDED,
+    STAGE,
+    Channel,
+    Segment,
+    decode,
+    decode_json,
+    file_name,
+    segment_numbers,
+)
 
 __all__ = [
     "EVENTS", "FORCE", "FRAMES", "KINDS", "LABELS", "RAW", "RECORDED", "STAGE", "Channel", "Damage",

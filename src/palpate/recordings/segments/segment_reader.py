@@ -20,16 +20,17 @@ from palpate.core import Image, ImageError, RecordingError, storage_errors
 from palpate.core.parsing import parser
 from palpate.recordings.exchange import image_files
 from palpate.recordings.manifest import MANIFEST, StoredManifest
-from palpate.recordings.segments.message_schema import (
+from palpate.recordings.segments.segment_writer import (
     FRAMES,
+    KINDS,
     SEGMENT,
     Channel,
     FileKind,
     channel_id,
     decode,
     decode_json,
+    file_name,
 )
-from palpate.recordings.segments.segment_writer import KINDS, file_name
 
 MAX_CHUNK_BYTES = 512 << 20  # the largest image that is read, stored without gain, and room to spare
 MAX_INDEX_BYTES = 1 << 30  # some ten million frames

@@ -17,12 +17,16 @@ import pandas as pd
 from matplotlib.image import imread
 
 from palpate.calibration.certificate import read_predictions
-from palpate.calibration.confounds.deciding_pixels import MAP_FILE, block_edges
-from palpate.calibration.coverage.counted_groups import held_out_groups, press_column, press_groups
-from palpate.calibration.coverage.grouped_rates import grouped_coverage_interval
+from palpate.calibration.confounds.skin_region import MAP_FILE, block_edges
+from palpate.calibration.coverage.grouped_rates import (
+    grouped_coverage_interval,
+    held_out_groups,
+    press_column,
+    press_groups,
+)
 from palpate.calibration.coverage.range_scores import target_findings
 from palpate.calibration.sessions import EvaluationRecord
-from palpate.calibration.sessions.evaluation_record import PREFIX, SUFFIX, in_order, read_evaluation
+from palpate.calibration.sessions.session_findings import PREFIX, SUFFIX, in_order, read_evaluation
 from palpate.core import CertificateError, interval_text, rounded
 from palpate.estimators.findings import Finding
 from palpate.estimators.intervals import layout_of

@@ -13,12 +13,11 @@ from palpate.calibration.coverage.grouped_rates import grouped_coverage_interval
 from palpate.calibration.coverage.range_scores import target_findings
 from palpate.calibration.sessions import EvaluationRecord
 from palpate.core import rounded
-from palpate.estimators.finding_cards import SessionsCard
+from palpate.estimators.findings import SessionsCard
 from palpate.estimators.model_card import Card, ScoreCard, TargetCard
-from palpate.estimators.reading_rules import too_unsure
-from palpate.estimators.reference_uncertainty import with_reference
+from palpate.estimators.reference_uncertainty import too_unsure, with_reference
 from palpate.reports.calibration_figures import errors_of, held_rows, interval_ends, target_columns
-from palpate.reports.score_intervals import mean_error_half_width, percent, width_text
+from palpate.reports.terminal_text import mean_error_half_width, percent, width_text
 
 OUTER_SHARE = 0.1  # ratio of the scored rows in an outer range
 MIN_OUTER_ROWS = 20  # with fewer, rates of 90 and 70 % are indistinguishable

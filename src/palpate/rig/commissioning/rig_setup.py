@@ -29,8 +29,7 @@ from palpate.core import (
 )
 from palpate.core.files import new_file, refuse_existing
 from palpate.devices import Mounting
-from palpate.devices.check.check_result import CheckResult
-from palpate.devices.check.interface_check import Role
+from palpate.devices.check.interface_check import CheckResult, Role
 from palpate.rig.commissioning.bench import frame_times
 from palpate.rig.commissioning.first_touch import (
     ALLOWED_SHARE,
@@ -41,9 +40,17 @@ from palpate.rig.commissioning.first_touch import (
     first_touch,
     weigh,
 )
-from palpate.rig.commissioning.found_parts import BAUD, FoundStage, find_stage, serial_ports, video_devices
 from palpate.rig.commissioning.hand_motion import discard, mean_force
-from palpate.rig.commissioning.setup_answers import Answers, Three, toml_text
+from palpate.rig.commissioning.setup_answers import (
+    BAUD,
+    Answers,
+    FoundStage,
+    Three,
+    find_stage,
+    serial_ports,
+    toml_text,
+    video_devices,
+)
 from palpate.rig.rig_check import check_rig
 from palpate.rig.rig_file import MAX_LIMITS, LimitsPart, PositionFrom, RigFile, open_part, open_rig
 

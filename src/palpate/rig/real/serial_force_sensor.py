@@ -7,8 +7,7 @@ from threading import Event, Lock, Thread
 from typing import Protocol, runtime_checkable
 
 from palpate.core import NS_PER_S, Clock, Closing, DeviceError, MonotonicClock, Wrench
-from palpate.rig.real.heard_lines import HeardTail
-from palpate.rig.real.serial_port import SerialPort
+from palpate.rig.real.serial_port import HeardTail, SerialPort
 
 MAX_READ_BYTES = 4096
 

@@ -1,6 +1,5 @@
 """A rig's TOML file: its tables, read, checked and opened."""
 
-from palpate.rig.rig_file.motion_parts import MAX_LIMITS, LimitsPart
 from palpate.rig.rig_file.opened_rig import (
     RigFile,
     follow_stage,
@@ -12,7 +11,14 @@ from palpate.rig.rig_file.opened_rig import (
     sensor_named,
 )
 from palpate.rig.rig_file.sensor_parts import FollowingPart
-from palpate.rig.rig_file.stage_parts import GrblPart, MarlinPart, PositionFrom, UrArmPart
+from palpate.rig.rig_file.stage_parts import (
+    MAX_LIMITS,
+    GrblPart,
+    LimitsPart,
+    MarlinPart,
+    PositionFrom,
+    UrArmPart,
+)
 
 __all__ = [
     "MAX_LIMITS",

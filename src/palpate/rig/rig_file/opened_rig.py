@@ -37,15 +37,7 @@ from palpate.rig.rig import VIRTUAL, Region, Rig
 if TYPE_CHECKING:
     from palpate.devices.check.interface_check import Role
 
-from palpate.devices.file_fields import Part, Three, metres, read_toml, validated
-from palpate.rig.rig_file.motion_parts import (
-    KnownWeightPart,
-    LimitsPart,
-    RegionPart,
-    RetriesPart,
-    StiffnessPart,
-    VirtualPart,
-)
+from palpate.devices.device_plugins import Part, Three, metres, read_toml, validated
 from palpate.rig.rig_file.sensor_parts import (
     FollowingPart,
     ForcePluginPart,
@@ -55,7 +47,18 @@ from palpate.rig.rig_file.sensor_parts import (
     SerialScalePart,
     UvcPart,
 )
-from palpate.rig.rig_file.stage_parts import GrblPart, MarlinPart, PositionFrom, UrArmPart
+from palpate.rig.rig_file.stage_parts import (
+    GrblPart,
+    KnownWeightPart,
+    LimitsPart,
+    MarlinPart,
+    PositionFrom,
+    RegionPart,
+    RetriesPart,
+    StiffnessPart,
+    UrArmPart,
+    VirtualPart,
+)
 
 SUPERVISOR = ("-m", "palpate.rig.supervisor_process")
 

@@ -7,9 +7,9 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from palpate.core import Clock, ForceSensor, FrameSource, InputError, Position, Stage
-from palpate.devices.file_fields import Host, Part, Three, check_above, check_below, metres
+from palpate.devices.device_plugins import Host, Part, Three, check_above, check_below, metres
 from palpate.rig.plans.press_places import Positive
-from palpate.rig.rig_file.motion_parts import MAX_LIMITS, MIN_LIMITS
+from palpate.rig.rig_file.stage_parts import MAX_LIMITS, MIN_LIMITS
 
 Scale = Annotated[float, Field(ge=0.1, le=10.0, allow_inf_nan=False)]
 """Factor that a known weight gave: a true force over the one that is read."""
@@ -133,9 +133,8 @@ class FollowingPart(Part):
             origin_m: expected surface of the skin, in the stage's frame [m].
             clock: time.
         """
-        from palpate.rig.virtual.followed_stage import FollowedWorld
-        from palpate.rig.virtual.virtual_camera import VirtualCamera
-        from palpate.rig.virtual.virtual_force import VirtualForce
+        from palpate.rig.virtual.virtual_bench import FollowedWorld
+        from palpate.rig.virtual.virtual_sensors import VirtualCamera, VirtualForce
 
         world = FollowedWorld(stage, design, clock, origin_m, self.seed, metres(self.askew_mm))
         return VirtualForce(world) if role == "force" else VirtualCamera(world)

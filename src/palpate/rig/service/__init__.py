@@ -4,8 +4,7 @@
 `RigClient` is how they ask; `launch` starts the process.
 """
 
-from palpate.rig.service.rig_client import RigClient, launch
+from palpate.rig.service.rig_client import RigClient, ServedRig, launch, open_served_rig, rig_name
 from palpate.rig.service.rig_service import RigServer, RigService
-from palpate.rig.service.served_rig import ServedRig, open_served_rig, rig_name
 
 __all__ = ["RigClient", "RigServer", "RigService", "ServedRig", "launch", "open_served_rig", "rig_name"]

@@ -12,13 +12,13 @@ from types import FrameType
 
 from palpate.core import PalpateError
 from palpate.core.failure_log import contained, thread_failures
-from palpate.devices.process_memory import keep_loaded
+from palpate.devices.long_running import keep_loaded
 from palpate.devices.rpc import Address, hold, publish
-from palpate.devices.supervisor.process_priority import raise_priority
+from palpate.devices.supervisor.owning_process import raise_priority
 from palpate.rig.commissioning.hand_motion import PUSH
 from palpate.rig.rig_file import PositionFrom
+from palpate.rig.service.rig_client import open_served_rig
 from palpate.rig.service.rig_service import RigServer, RigService
-from palpate.rig.service.served_rig import open_served_rig
 
 LOOK_S = 0.2
 SWITCH_S = 0.001  # between threads, so that an emergency stop does not wait for what others compute

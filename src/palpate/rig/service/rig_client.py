@@ -1,16 +1,23 @@
-"""Client of the process that holds a rig, and the start of that process."""
+"""Client of the process that holds a rig, and the start of that process.
+
+A rig by its name or its file, for the process that holds it.
+"""
 
 from __future__ import annotations
 
 import subprocess
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from palpate.core import DeviceError
+from palpate.core import Clock, DeviceError, ManualClock, MonotonicClock
 from palpate.devices.rpc import Address, shared_folder, supervisor_name
 from palpate.devices.rpc_client import RpcClient, launch_process
+from palpate.rig.rig import Rig
+from palpate.rig.rig_file import PositionFrom, is_virtual, read_rig, rig_from, sensor_named
+from palpate.rig.virtual.virtual_bench import REAL_TIME_AGE_S, virtual_rig
 
 ESTOP_S = 5.0
 SOON_S = 1.0  # in which the rig's process has answered, where a supervisor has stopped the stage already
@@ -120,3 +127,44 @@ def _sent(client: RpcClient, timeout_s: float = ESTOP_S) -> Callable[[], dict[st
     with suppress(DeviceError):
         return client.send("estop", timeout_s)
     return None
+
+
+@dataclass(frozen=True, slots=True)
+class ServedRig:
+    """A rig and how to watch it.
+
+    Attributes:
+        rig: its devices.
+        real_time: time passes by itself; otherwise only as the rig asks for it.
+    """
+
+    rig: Rig
+    real_time: bool = True
+
+
+def open_served_rig(name: str, *, accelerated: bool = False, position: PositionFrom = "stored") -> ServedRig:
+    """Open a rig.
+
+    Args:
+        name: "virtual:" and a sensor's name, or the path of a rig's file.
+        accelerated: let the virtual rig's time run as fast as the machine can; a file says so itself.
+        position: Source of the stage's position, see `PositionFrom`.
+    """
+    if not is_virtual(name):
+        file = read_rig(Path(name))
+        return ServedRig(
+            rig_from(file, name=rig_name(name), position=position),
+            file.virtual is None or file.virtual.real_time,
+        )
+    clock: Clock = ManualClock() if accelerated else MonotonicClock()
+    rig = virtual_rig(sensor_named(name), clock=clock, age_s=REAL_TIME_AGE_S)
+    return ServedRig(rig, not accelerated)
+
+
+def rig_name(rig: str) -> str:
+    """Name a rig as its process does: by its name, or its file's whole path."""
+    if is_virtual(rig):
+        sensor_named(rig)
+        return rig
+    read_rig(Path(rig))
+    return str(Path(rig).resolve())

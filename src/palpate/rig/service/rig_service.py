@@ -36,7 +36,7 @@ from palpate.rig.engine import record
 from palpate.rig.plans import PLANS, Known, StepHold, plan_from, plan_of, plan_of_sensor, size_of
 from palpate.rig.press_motion import check_plan
 from palpate.rig.run_progress import Outcome, State, Status
-from palpate.rig.service.served_rig import ServedRig
+from palpate.rig.service.rig_client import ServedRig
 
 LOOK_S = 0.1  # between two looks
 PICTURE_EVERY = 3  # looks

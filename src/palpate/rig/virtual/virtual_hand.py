@@ -25,8 +25,7 @@ from palpate.rig.virtual.virtual_bench import (
     default_variation,
     truth_at,
 )
-from palpate.rig.virtual.virtual_camera import VirtualCamera
-from palpate.rig.virtual.virtual_force import VirtualForce
+from palpate.rig.virtual.virtual_sensors import VirtualCamera, VirtualForce
 from palpate.rig.virtual.virtual_world import Series, World
 
 AIR_M = 3e-3  # above the skin: where the probe waits

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from palpate.core import DeviceError, Position, RangeError, Travel
-from palpate.rig.virtual.straight_motion import Motion, standing
+from palpate.rig.virtual.linear_rig import Motion, standing
 from palpate.rig.virtual.virtual_world import World, halted
 
 SLIP_M = 0.1e-3  # that a slipping stage loses of every move along z

@@ -8,10 +8,10 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from palpate.core import Drift, Frame, Image, ImageError, PathText, Readings
-from palpate.core.refusal import ReasonCode, Refusal
+from palpate.core.reading import ReasonCode, Refusal
 from palpate.estimators.certified import Estimator, Zero
 from palpate.sensing.live_sources import LiveSource
-from palpate.sensing.streaming.sensor_names import refuse_other_sensor, stated_sensor
+from palpate.sensing.streaming.live_slots import refuse_other_sensor, stated_sensor
 
 Zeros = dict[int, Zero]
 """Untouched images of single frames, by their numbers."""

@@ -1,14 +1,21 @@
-"""Hand-overs between the threads of a live loop: a place for the newest item, and lines to subscribers."""
+"""Hand-overs between the threads of a live loop: a place for the newest item, and lines to subscribers.
+
+Which sensor a source states that its frames are of, and whether a calibration is of another.
+"""
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 
-from palpate.core import Frame, Readings, Wrench
+from palpate.core import Frame, InputError, Readings, Wrench
+from palpate.core.sensor import SENSORS
+from palpate.sensing.live_sources import HandFrames, LiveSource
+from palpate.sensors.owned import preset_names
 
 Item = TypeVar("Item")
 
@@ -163,3 +170,51 @@ class SubscriberLine:
         self._line.clear()
         self._changed.notify_all()
         self._fault(self.why)
+
+
+OWN = "own"  # a preset that is of no sensor in particular
+_VIRTUAL = re.compile("^virtual[: ]")  # as addresses and recordings of them begin
+
+
+def stated_sensor(source: LiveSource) -> str:
+    """Name of the sensor whose frames a source gives: of a virtual one its design's, of a run its manifest's.
+
+    A camera, a video and images state none: "".
+    """
+    if isinstance(source, HandFrames):
+        return str(source.hand.design.name)
+    manifest: Any = getattr(source, "manifest", None)
+    return "" if manifest is None else str(manifest.sensor)
+
+
+def sensor_family(name: str) -> str:
+    """Kind of sensor that a name surely means, as "palm" for "palm-rig" and "virtual palm"; "" for any other.
+
+    Example:
+        >>> sensor_family("virtual tactip/S1=7.6"), sensor_family("digit"), sensor_family("my-sensor")
+        ('tactip', 'digit', '')
+    """
+    bare = _VIRTUAL.sub("", name).partition("/")[0]
+    family = bare.partition("-")[0]
+    if family in SENSORS.names():
+        return family
+    return bare if bare in preset_names() and bare != OWN else ""
+
+
+def refuse_other_sensor(calibrated: str, source: LiveSource) -> str:
+    """Refuse a source that is surely of another kind of sensor than a calibration.
+
+    Args:
+        calibrated: name of the calibration's sensor; "" where it has none.
+
+    Returns:
+        What is to be minded where the names differ, but may mean one sensor; "" where there is nothing.
+    """
+    stated = stated_sensor(source)
+    if not stated or not calibrated or stated == calibrated:
+        return ""
+    kinds = sensor_family(stated), sensor_family(calibrated)
+    told = f"{source.name} gives frames of {stated} and the calibration is of {calibrated}"
+    if all(kinds) and kinds[0] != kinds[1]:
+        raise InputError(f"{told}: give a calibration of {stated}", code="sensor-differs")
+    return "" if all(kinds) else f"{told}: what is read holds only where both are one sensor"

@@ -10,7 +10,7 @@ from palpate.core.sensor import sensor as sensor_of
 from palpate.estimators.lattice import DottedSkin, read_skin
 from palpate.estimators.shear import ShearReader, ShearTouch
 from palpate.estimators.shear.skin_marks import TiledSkin
-from palpate.sensing.shear_frames import ForceInTouch
+from palpate.sensing.frame_readers import ForceInTouch
 from palpate.sensing.streaming.live_readers import NO_ZERO
 
 

@@ -37,11 +37,14 @@ from palpate.core import (
 from palpate.estimators.shear import TiledSkin
 from palpate.estimators.surface_strain import PatternedSkin
 from palpate.sensors.nusense.nusense_spec import NuSenseSpec, Tear, fabricated
-from palpate.sensors.nusense.pad_contact import greatest_depth_m, pad_contact
-from palpate.sensors.nusense.pad_indenters import parse_indenter
+from palpate.sensors.nusense.pad_contact import greatest_depth_m, pad_contact, parse_indenter
 from palpate.sensors.nusense.pad_view import clean_view, exposed, exposed_by_table, pad_window, seen_px
-from palpate.sensors.nusense.pattern_motion import PatternMotion, pattern_motion
-from palpate.sensors.nusense.press_levels import PressLevels, goes_straight_down
+from palpate.sensors.nusense.pattern_motion import (
+    PatternMotion,
+    PressLevels,
+    goes_straight_down,
+    pattern_motion,
+)
 from palpate.sensors.nusense.torn_pad import TornMotion, torn_contact, torn_motion, torn_view
 
 SPEED_MM_S = 0.5  # speed of the hysteresis experiment, section 4.4

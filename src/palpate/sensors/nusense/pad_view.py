@@ -16,7 +16,7 @@ import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 
 from palpate.core import Float, Int, UInt8, ndarray
-from palpate.optics.table_noise import normal_table, table_draws
+from palpate.optics.image_chain import normal_table, table_draws
 from palpate.sensors.nusense.nusense_spec import NuSenseSpec
 from palpate.sensors.nusense.pattern_motion import PatternMotion
 

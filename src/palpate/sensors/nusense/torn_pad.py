@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from palpate.core import Contact, Float, Pose, PressHistory, Probe, ndarray
-from palpate.mechanics.torn_layers.cut_opening import CutOpening, SurfaceCut, cut_opening, rest_gap_m
+from palpate.mechanics.torn_layers import CutOpening, SurfaceCut, cut_opening, rest_gap_m
 from palpate.sensors.nusense.nusense_spec import NuSenseSpec, Tear
 from palpate.sensors.nusense.pad_contact import pad_contact
 from palpate.sensors.nusense.pad_view import (

@@ -16,7 +16,7 @@ from pydantic import Field, model_validator
 
 from palpate.core import InputError, RangeError, new_file
 from palpate.core.parsing import parser
-from palpate.devices.file_fields import Part, read_toml, validated
+from palpate.devices.device_plugins import Part, read_toml, validated
 
 PRESETS = "presets"
 OWN = "own"

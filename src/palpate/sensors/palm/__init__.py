@@ -5,7 +5,7 @@ or law's range; `ImageError` for a picture that does not fit; `LabelError` for a
 """
 
 from palpate.sensors.palm.fringe_orders import contact_summary
-from palpate.sensors.palm.membrane_wear import Wear, worn
+from palpate.sensors.palm.membrane_faults import Wear, worn
 from palpate.sensors.palm.palm_press import has_table, press, press_to_force
 from palpate.sensors.palm.palm_render import Views, expose, render, render_clean, render_raw, render_views
 from palpate.sensors.palm.palm_spec import (

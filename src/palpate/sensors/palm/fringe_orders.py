@@ -11,20 +11,19 @@ import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
 from palpate.core import Contact, Float, ndarray
-from palpate.mechanics.axisymmetric.punch_table import is_punched
-from palpate.mechanics.layers.stack_field import field_below
+from palpate.mechanics.axisymmetric.shape_table import is_punched
+from palpate.mechanics.layers.stack_friction import field_below
 from palpate.mechanics.probe_contact import is_tabled_probe, probe_law
-from palpate.optics.axisymmetric_march import AxisymmetricField
+from palpate.optics.march import AxisymmetricField
 from palpate.optics.stress_optic import fringe_order
 from palpate.sensors.palm.fringe_view import sees
+from palpate.sensors.palm.membrane_faults import pressed_at
 from palpate.sensors.palm.palm_press import field_of, field_under, pressed, punched, stack_of
 from palpate.sensors.palm.palm_render import is_ball
-from palpate.sensors.palm.palm_rim import applied_rim, rim_effect, rim_reach
 from palpate.sensors.palm.palm_spec import PalmSpec
-from palpate.sensors.palm.probe_stress import stress_beneath
-from palpate.sensors.palm.pulled_ball import Laid, is_pulled_ball, stress_about, summed_along
-from palpate.sensors.palm.tabled_probes import probe_table_of
-from palpate.sensors.palm.uneven_membrane import pressed_at
+from palpate.sensors.palm.press_corrections import applied_rim, rim_effect, rim_reach
+from palpate.sensors.palm.probe_shapes import probe_table_of
+from palpate.sensors.palm.probe_stress import Laid, is_pulled_ball, stress_about, stress_beneath, summed_along
 
 WAVELENGTH_M = 550e-9
 NEAR = 6.0  # contact radii

@@ -13,18 +13,16 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import map_coordinates
 
 from palpate.core import Contact, Float, Float32, ndarray
-from palpate.mechanics.axisymmetric.punch_table import is_punched
+from palpate.mechanics.axisymmetric.shape_table import is_punched
 from palpate.mechanics.layers.layer_stress import OnGrid, stress_under
 from palpate.mechanics.probe_contact import is_tabled_probe
-from palpate.optics.compiled_march import march_colour
-from palpate.optics.polariscope import plane_amplitude, with_leak
-from palpate.optics.wall_refraction import ColumnRays
+from palpate.optics.march import march_colour
+from palpate.optics.polariscope import ColumnRays, plane_amplitude, with_leak
 from palpate.sensors.palm import fringe_view
+from palpate.sensors.palm.membrane_faults import frozen_at
 from palpate.sensors.palm.palm_spec import PalmSpec
 from palpate.sensors.palm.probe_shapes import parts_of, silhouette
-from palpate.sensors.palm.probe_stress import stress_beneath
-from palpate.sensors.palm.pulled_ball import Laid, is_pulled_ball, rows_of, stress_about
-from palpate.sensors.palm.uneven_membrane import frozen_at
+from palpate.sensors.palm.probe_stress import Laid, is_pulled_ball, rows_of, stress_about, stress_beneath
 
 # These values limit the light's error to 0.1 of 255 (rms), 1 at most.
 PLANES = 20  # planes of stress, finest at the surface

@@ -19,21 +19,20 @@ import numpy as np
 from cachetools import LRUCache, cached
 
 from palpate.core import Float, Float32, Pose, Probe, ndarray
-from palpate.optics.axisymmetric_march import Rays, march_axisymmetric
 from palpate.optics.colour import Spectrum, assumed_camera
-from palpate.optics.polariscope import plane_amplitude, with_leak
-from palpate.optics.wall_refraction import ColumnRays, round_rim
-from palpate.sensors.palm.palm_press import field_at, field_under
-from palpate.sensors.palm.palm_rim import applied_rim
-from palpate.sensors.palm.palm_spec import PalmSpec, View
-from palpate.sensors.palm.probe_shapes import silhouette
-from palpate.sensors.palm.uneven_membrane import (
+from palpate.optics.march import Rays, march_axisymmetric
+from palpate.optics.polariscope import ColumnRays, plane_amplitude, round_rim, with_leak
+from palpate.sensors.palm.membrane_faults import (
     EVEN,
     ResidualMap,
     frozen_at,
     modulus_ratio,
     thickness_at,
 )
+from palpate.sensors.palm.palm_press import field_at, field_under
+from palpate.sensors.palm.palm_spec import PalmSpec, View
+from palpate.sensors.palm.press_corrections import applied_rim
+from palpate.sensors.palm.probe_shapes import silhouette
 
 P = ParamSpec("P")
 T = TypeVar("T")

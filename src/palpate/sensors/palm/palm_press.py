@@ -24,25 +24,29 @@ from palpate.mechanics.axisymmetric.pulled_sphere import (
     pulled as pulled_contact,
     pulled_sphere_table,
 )
-from palpate.mechanics.axisymmetric.punch_table import (
+from palpate.mechanics.axisymmetric.shape_table import (
     PunchTable,
-    press_punch,
-)
-from palpate.mechanics.axisymmetric.sphere_table import (
     SphereTable,
     press_finite_strain,
+    press_punch,
 )
 from palpate.mechanics.layers.contact_solver import StackContact, press_stack
 from palpate.mechanics.layers.stack import ElasticLayer, Stack
 from palpate.mechanics.layers.stack_friction import shear_stack
 from palpate.mechanics.probe_contact import press_probe
-from palpate.optics.axisymmetric_march import AxisymmetricField
-from palpate.sensors.palm.narrow_contact import press_narrow
-from palpate.sensors.palm.palm_rim import applied_rim, lateral_of, rim_reach
+from palpate.optics.march import AxisymmetricField
+from palpate.sensors.palm.membrane_faults import pressed_at
 from palpate.sensors.palm.palm_spec import PalmSpec
-from palpate.sensors.palm.probe_shapes import as_pair, gap_of, reaches_of, upright_ball
-from palpate.sensors.palm.tabled_probes import has_probe_table, probe_table_of, probes_with_table
-from palpate.sensors.palm.uneven_membrane import pressed_at
+from palpate.sensors.palm.press_corrections import applied_rim, lateral_of, press_narrow, rim_reach
+from palpate.sensors.palm.probe_shapes import (
+    as_pair,
+    gap_of,
+    has_probe_table,
+    probe_table_of,
+    probes_with_table,
+    reaches_of,
+    upright_ball,
+)
 
 FINER = 3  # refinement of the knots in each direction; the march interpolates linearly
 FADED = (0.75, 0.95)

@@ -14,25 +14,37 @@ from typing import NamedTuple
 import numpy as np
 
 from palpate.core import Contact, Float32, Frame, InputError, Pose, Probe, UInt8, UInt16, ndarray
-from palpate.mechanics.axisymmetric.punch_table import is_punched
-from palpate.optics.camera_response import CameraResponse, develop, raw_codes, uneven_light
+from palpate.mechanics.axisymmetric.shape_table import is_punched
 from palpate.optics.colour import lamp_tint
-from palpate.optics.illumination import LedStrip, backlight
-from palpate.optics.image_chain import ImageChain, as_kept, through_lens
+from palpate.optics.image_chain import (
+    CameraResponse,
+    ImageChain,
+    LedStrip,
+    as_kept,
+    backlight,
+    develop,
+    raw_codes,
+    through_lens,
+    uneven_light,
+)
 from palpate.optics.stress_optic import StressOpticLaw
 from palpate.sensors.palm import fringe_rays, fringe_view, mirror_view
-from palpate.sensors.palm.membrane_wear import (
+from palpate.sensors.palm.membrane_faults import (
     Film,
+    MirrorDirt,
+    ResidualMap,
     Wear,
+    dirt_over,
     film,
+    glare_in,
     passed_by,
+    pressed_at,
+    registered,
     scratches_over,
     spread,
 )
 from palpate.sensors.palm.palm_spec import PalmSpec
 from palpate.sensors.palm.probe_shapes import parts_of, reaches_of, silhouette
-from palpate.sensors.palm.uneven_membrane import ResidualMap, pressed_at
-from palpate.sensors.palm.view_faults import MirrorDirt, dirt_over, glare_in, registered
 
 BACKGROUND = 0.004
 """Light of the housing outside both regions, over the lamp's maximum. Assumed."""

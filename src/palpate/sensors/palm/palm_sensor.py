@@ -33,11 +33,12 @@ from palpate.core import (
 )
 from palpate.mechanics.axisymmetric.disc_table import DiscTable
 from palpate.mechanics.axisymmetric.pulled_sphere import pulled_sphere_table
-from palpate.mechanics.half_space.tangential import tangential_stiffness
+from palpate.mechanics.half_space.hertz import tangential_stiffness
 from palpate.mechanics.probe_contact import probe_law
 from palpate.mechanics.probe_table import ProbeTable
 from palpate.recordings.preparation import Preparation
 from palpate.sensors.palm import palm_spec
+from palpate.sensors.palm.membrane_faults import EVEN, thickness_range
 from palpate.sensors.palm.palm_press import (
     FRICTION,
     LINEAR_DEPTH_M,
@@ -52,11 +53,15 @@ from palpate.sensors.palm.palm_press import (
     table_of,
 )
 from palpate.sensors.palm.palm_render import expose, is_ball, render, render_clean
-from palpate.sensors.palm.palm_rim import rim_by_place
 from palpate.sensors.palm.palm_spec import PalmSpec
-from palpate.sensors.palm.probe_shapes import as_pair, parse_probe, upright_ball
-from palpate.sensors.palm.tabled_probes import has_probe_table, probe_table_of
-from palpate.sensors.palm.uneven_membrane import EVEN, thickness_range
+from palpate.sensors.palm.press_corrections import rim_by_place
+from palpate.sensors.palm.probe_shapes import (
+    as_pair,
+    has_probe_table,
+    parse_probe,
+    probe_table_of,
+    upright_ball,
+)
 
 RATE_HZ = 30.0  # frame rate of the report
 

@@ -13,14 +13,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from palpate.core import Float, InputError, RangeError, ndarray
-from palpate.optics.camera_response import AutoExposure, CameraResponse
 from palpate.optics.colour import MIN_BANDS
-from palpate.optics.illumination import LedStrip
-from palpate.optics.image_chain import ImageChain
+from palpate.optics.image_chain import AutoExposure, CameraResponse, ImageChain, LedStrip
 from palpate.optics.stress_optic import StressOpticLaw
-from palpate.sensors.palm.membrane_wear import Wear
-from palpate.sensors.palm.uneven_membrane import ResidualMap, UnevenGel
-from palpate.sensors.palm.view_faults import Glare, MirrorDirt
+from palpate.sensors.palm.membrane_faults import Glare, MirrorDirt, ResidualMap, UnevenGel, Wear
 
 
 @dataclass(frozen=True, slots=True)

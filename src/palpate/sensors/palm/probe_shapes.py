@@ -1,6 +1,8 @@
 """Probe shapes beyond the ball: parsing, gap to the membrane, and silhouette.
 
 A probe of several balls is a rigid holder; tilting turns the holder.
+
+Non-axisymmetric probes that have a finite-strain table for a palm's membrane.
 """
 
 from __future__ import annotations
@@ -10,8 +12,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from palpate.core import Field, Float, Float32, InputError, Probe, ndarray
-from palpate.mechanics.layers import indenters
+from palpate.core import Field, Float, Float32, InputError, Probe, RangeError, ndarray
+from palpate.mechanics.layers import contact_solver
+from palpate.mechanics.probe_table import ProbeTable, probe_table_for, probe_tables
+from palpate.sensors.palm.palm_spec import PalmSpec
 
 EDGE_SLOPE_RAD = math.radians(30)  # slope of both sides of the edge, small enough for small strain
 ROUNDED = 0.1  # edge radius of a punch over its radius
@@ -27,7 +31,7 @@ SIZES = {
 MIN_SIZES = {"sphere": 1, "punch": 1, "edge": 1, "cylinder": 2, "two-points": 2}
 POINTS = "points:DIAMETER_MM:X_MM,Y_MM[,HEIGHT_MM];..."
 LEANING = "@TILT_DEG[:TOWARDS_DEG]"
-MAX_TILT_DEG = math.degrees(indenters.MAX_TILT)
+MAX_TILT_DEG = math.degrees(contact_solver.MAX_TILT)
 
 Place = tuple[float, float, float]
 
@@ -149,23 +153,23 @@ def gap_of(
     R, L, turn = probe.radius_m, probe.length_m, probe.turn_rad
     match probe.shape:
         case "sphere":
-            return indenters.sphere(x_m, y_m, R, centre_m)
+            return contact_solver.sphere(x_m, y_m, R, centre_m)
         case "two-points" | "points":
-            return indenters.balls(
+            return contact_solver.balls(
                 x_m,
                 y_m,
                 R,
                 [(centre_m[0] + x, centre_m[1] + y, up) for _, (x, y, up) in parts_of(probe)],
             )
         case "punch":
-            upright = indenters.flat_punch(x_m, y_m, R, ROUNDED * R, centre_m)
+            upright = contact_solver.flat_punch(x_m, y_m, R, ROUNDED * R, centre_m)
         case "edge":
-            upright = indenters.wedge(x_m, y_m, EDGE_SLOPE_RAD, L, turn, centre_m)
+            upright = contact_solver.wedge(x_m, y_m, EDGE_SLOPE_RAD, L, turn, centre_m)
         case "cylinder":
-            upright = indenters.lying_cylinder(x_m, y_m, R, L, turn, centre_m)
+            upright = contact_solver.lying_cylinder(x_m, y_m, R, L, turn, centre_m)
         case _:
             raise InputError(f"no palm knows a {probe.shape!r}; there are {', '.join(SIZES)}, points")
-    return upright if probe.tilt_rad == 0 else indenters.lean(upright, x_m, y_m, probe.tilt_rad, turn)
+    return upright if probe.tilt_rad == 0 else contact_solver.lean(upright, x_m, y_m, probe.tilt_rad, turn)
 
 
 def silhouette(
@@ -207,3 +211,33 @@ def reaches_of(probe: Probe) -> tuple[float, float]:
         return across + probe.radius_m, down + probe.radius_m
     one = probe.radius_m + probe.length_m / 2
     return one, one
+
+
+def has_probe_table(spec: PalmSpec, probe: Probe) -> bool:
+    """Return whether a table exists for the spec's membrane under a non-axisymmetric probe."""
+    return _probe_table(spec, probe) is not None
+
+
+def _probe_table(spec: PalmSpec, probe: Probe) -> ProbeTable | None:
+    return probe_table_for(probe, spec.thickness_m, spec.radius_m, spec.friction, spec.poisson_ratio)
+
+
+def probe_table_of(spec: PalmSpec, probe: Probe) -> ProbeTable:
+    """Return the table of a non-axisymmetric probe."""
+    if (table := _probe_table(spec, probe)) is None:
+        raise RangeError(
+            f"no table for a {probe.shape} on a membrane {spec.thickness_m * 1e3:g} mm thick; upright there "
+            f"are those of: {probes_with_table(spec) or 'none'}"
+        )
+    return table
+
+
+def probes_with_table(spec: PalmSpec) -> str:
+    """Return the comma-separated probes that have tables for the spec's membrane."""
+    mm, found = 1e3 * spec.thickness_m, []
+    for t in probe_tables():
+        sizes = [round(size * mm, 6) for size in (2 * t.radius, t.length) if size]
+        words = ":".join([t.shape, *(f"{size:g}" for size in sizes)])
+        if has_probe_table(spec, parse_probe(words)):
+            found.append(words)
+    return ", ".join(found)

@@ -27,7 +27,8 @@ from palpate.core import (
     in_parallel,
     ndarray,
 )
-from palpate.mechanics.resultant import resultant_of
+from palpate.mechanics.probe_contact import resultant_of
+from palpate.sensors.palm.membrane_faults import pressed_at
 from palpate.sensors.palm.palm_press import (
     depth_of_force,
     greatest_aside,
@@ -38,10 +39,8 @@ from palpate.sensors.palm.palm_press import (
 )
 from palpate.sensors.palm.palm_render import render
 from palpate.sensors.palm.palm_spec import PalmSpec
-from palpate.sensors.palm.press_law import PRESS_LAW, PressLaw
-from palpate.sensors.palm.probe_shapes import parts_of, points_probe, reaches_of
-from palpate.sensors.palm.tabled_probes import has_probe_table
-from palpate.sensors.palm.uneven_membrane import pressed_at
+from palpate.sensors.palm.palm_variation import PRESS_LAW, PressLaw
+from palpate.sensors.palm.probe_shapes import has_probe_table, parts_of, points_probe, reaches_of
 
 DEPTHS = 96  # distinct depths over all units; images are shared between them
 DEPTH_MM = (0.06, 5.3)

@@ -4,7 +4,7 @@ Errors: `InputError` for a wrong kind, name, or non-finite value; `RangeError` f
 or law's range; `ImageError` for a picture that does not fit; `LabelError` for a wrong label or table.
 """
 
-from palpate.sensors.tactip.skin_through_camera import skin_places_m, untouched_area_m2
+from palpate.sensors.tactip.posed_tip import skin_places_m, untouched_area_m2
 from palpate.sensors.tactip.tactip_press import HeadOn, TipOnSpecimen, pictured
 from palpate.sensors.tactip.tactip_spec import (
     PINS_127,

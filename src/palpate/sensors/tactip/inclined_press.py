@@ -13,7 +13,6 @@ import numpy as np
 from scipy.interpolate import CubicSpline, NdBSpline, PchipInterpolator, RectBivariateSpline
 
 from palpate.core import Float, RangeError, ndarray
-from palpate.mechanics.axisymmetric.inclined_table import SidePress, inclined_table
 from palpate.mechanics.axisymmetric.tilted_tip import (
     TiltedContact,
     TiltedPress,
@@ -22,9 +21,8 @@ from palpate.mechanics.axisymmetric.tilted_tip import (
     tip_modes,
     top_modes,
 )
-from palpate.mechanics.axisymmetric.tip_table import TipTable, tip_table
-from palpate.sensors.tactip.skin_and_markers import LeaningSkin, SkinShape
-from palpate.sensors.tactip.tactip_press import TabledContact
+from palpate.mechanics.axisymmetric.tip_table import SidePress, TipTable, inclined_table, tip_table
+from palpate.sensors.tactip.tactip_press import LeaningSkin, SkinShape, TabledContact
 from palpate.sensors.tactip.tactip_spec import TacTipSpec
 
 MIRROR = np.array([1.0, -1.0, 1.0])

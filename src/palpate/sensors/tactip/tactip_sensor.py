@@ -35,7 +35,7 @@ from palpate.core import (
     is_rigid,
     ndarray,
 )
-from palpate.mechanics.axisymmetric.creeping_press import CreepingPress
+from palpate.mechanics.axisymmetric.axisymmetric_fem import CreepingPress
 from palpate.mechanics.axisymmetric.disc_table import SAME
 from palpate.mechanics.axisymmetric.shape_table import shape_table
 from palpate.mechanics.axisymmetric.tip_table import HeadOnPress
@@ -46,12 +46,12 @@ from palpate.sensors.tactip.tactip_camera import projected, rendered
 from palpate.sensors.tactip.tactip_press import (
     HeadOn,
     TipOnSpecimen,
+    ViscousPress,
     modulus_pa,
     pictured,
     pixels_per_tangent,
 )
 from palpate.sensors.tactip.tactip_spec import TacTipSpec
-from palpate.sensors.tactip.viscous_press import ViscousPress
 
 FITTED = "331-fitted"
 REGION = "pins"

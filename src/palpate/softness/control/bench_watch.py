@@ -6,8 +6,7 @@ import math
 from dataclasses import dataclass, field
 
 from palpate.core import NS_PER_S, ArmRange, ArmSample, DisplayRange, DisplaySample
-from palpate.devices.force_watch import ForceLimits, ForceWatch
-from palpate.devices.motion_limits import Reason, Tripped
+from palpate.devices.motion_limits import ForceLimits, ForceWatch, Reason, Tripped
 
 SLACK = 1e-3  # of the greatest pressure, for rounding
 

@@ -16,10 +16,8 @@ import numpy as np
 from palpate.core import NS_PER_S, Clock, DeviceError, DisplaySample, HapticArm, SafetyError, SoftnessDevice
 from palpate.devices.motion_limits import Reason, Tripped
 from palpate.devices.operator_control import OperatorCommand, OperatorControl, OperatorInterrupt
-from palpate.softness.control.arm_servo import ArmServo, BenchState
 from palpate.softness.control.bench_watch import BenchLimits, BenchWatch
-from palpate.softness.control.reference_table import Reference, ReferenceTable
-from palpate.softness.control.speed_tracker import SpeedTracker
+from palpate.softness.control.servos import ArmServo, BenchState, Reference, ReferenceTable, SpeedTracker
 from palpate.softness.rendering_law import Mode
 
 PERIOD_S = 1e-3

@@ -12,11 +12,20 @@ from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, model_val
 
 from palpate.core import Clock, HapticArm, InputError, SafetyError, SoftnessDevice
 from palpate.core.parsing import parser
-from palpate.devices.device_plugins import check_kind, open_device
-from palpate.devices.file_fields import MM, Host, Part, Three, metres, read_toml, validated
-from palpate.devices.force_watch import ForceLimits
-from palpate.softness.cone_display import ConeDisplay
+from palpate.devices.device_plugins import (
+    MM,
+    Host,
+    Part,
+    Three,
+    check_kind,
+    metres,
+    open_device,
+    read_toml,
+    validated,
+)
+from palpate.devices.motion_limits import ForceLimits
 from palpate.softness.control.bench_watch import BenchLimits
+from palpate.softness.display_parts import ConeDisplay
 from palpate.softness.rendering_law import DisplayBounds, Mode
 
 if TYPE_CHECKING:

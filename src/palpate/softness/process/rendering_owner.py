@@ -15,17 +15,17 @@ from contextlib import suppress
 from typing import Any
 
 from palpate.core import Clock, PalpateError, ProtocolError
-from palpate.devices.haptic_proxies import ArmProxy, DisplayProxy
+from palpate.devices.device_proxies import ArmProxy, DisplayProxy
 from palpate.devices.operator_control import OperatorCommand, OperatorControl, OperatorInterrupt
 from palpate.devices.supervisor.guard_messages import error_fields
 from palpate.devices.supervisor.owning_process import Send
 from palpate.softness.characteristics import SoftObject
 from palpate.softness.control.bench_watch import BenchLimits
-from palpate.softness.control.reference_table import ReferenceTable
 from palpate.softness.control.rendering_loop import LoopSample, RenderingLoop
+from palpate.softness.control.servos import ReferenceTable
 from palpate.softness.control.timed_loop import MAX_S, Pace, run_paced
 from palpate.softness.process.bench_file import OpenedBench
-from palpate.softness.process.rendering_messages import (
+from palpate.softness.process.rendering_session import (
     ObjectPieces,
     RenderingStatus,
     law_of_row,

@@ -10,11 +10,11 @@ from typing import Any
 from palpate.core import ManualClock, MonotonicClock
 from palpate.devices.supervisor.owning_process import Send, run_owner
 from palpate.softness.characteristics import SoftObject
-from palpate.softness.control.reference_table import ReferenceTable
 from palpate.softness.control.rendering_loop import RenderingLoop
+from palpate.softness.control.servos import ReferenceTable
 from palpate.softness.process.bench_file import BenchFile, OpenedBench, open_real_bench
-from palpate.softness.process.rendering_messages import ObjectPieces, law_row
 from palpate.softness.process.rendering_owner import RenderingOwner
+from palpate.softness.process.rendering_session import ObjectPieces, law_row
 from palpate.softness.rendering_law import Mode, RenderingLaw
 
 BEGINS_S = 0.5  # after which the virtual finger comes down first

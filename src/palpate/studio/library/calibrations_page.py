@@ -17,17 +17,20 @@ from nicegui import ui
 from palpate.core import PalpateError, half_width_text, rounded
 from palpate.estimators.model_card import Card, TargetCard
 from palpate.reports.evaluation_text import day_text
-from palpate.studio.html_parts import (
+from palpate.studio.library.background_jobs import BackgroundJob, BackgroundJobs
+from palpate.studio.library.workspace import Workspace
+from palpate.studio.page_shell import (
+    PageBeat,
     commands_html,
+    keep_in_address,
+    page_shell,
+    page_title,
     progress_html,
     simulated_badge,
     state_word,
     table_html,
     trouble_html,
 )
-from palpate.studio.library.background_jobs import BackgroundJob, BackgroundJobs
-from palpate.studio.library.workspace import Workspace
-from palpate.studio.page_shell import PageBeat, keep_in_address, page_shell, page_title
 
 LOOK_S = 0.3
 SELECT = 'dense outlined options-dense stack-label id="{}" aria-label="{}"'

@@ -22,11 +22,18 @@ from palpate.psychophysics.experiments import (
 )
 from palpate.psychophysics.experiments.sitting import REHEARSAL, participant_folder
 from palpate.psychophysics.judgements import RESPONSES, read_judgements
-from palpate.studio.html_parts import commands_html, state_word, table_html, trouble_html
 from palpate.studio.library.background_jobs import BackgroundJob, BackgroundJobs
 from palpate.studio.library.calibrations_page import job_html
 from palpate.studio.library.workspace import Workspace
-from palpate.studio.page_shell import PageBeat, page_shell, page_title
+from palpate.studio.page_shell import (
+    PageBeat,
+    commands_html,
+    page_shell,
+    page_title,
+    state_word,
+    table_html,
+    trouble_html,
+)
 
 AGAIN_S, LOOK_S = 5.0, 0.3
 

@@ -9,7 +9,7 @@ from itertools import groupby
 from typing import Any
 
 from palpate.studio.live.live_desk import SPAN_S, LiveSample
-from palpate.studio.page_style import paint
+from palpate.studio.page_shell import paint
 from palpate.studio.status_text import number
 from palpate.studio.svg_drawing import BOX, nice_step
 

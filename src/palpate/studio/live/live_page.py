@@ -17,22 +17,23 @@ from urllib.parse import quote, urlencode
 from nicegui import ui
 
 from palpate.core import PalpateError
-from palpate.studio.html_parts import simulated_badge, state_word
 from palpate.studio.library.workspace import Workspace
 from palpate.studio.live import live_drawing
 from palpate.studio.live.live_desk import (
     MAX_SENSORS,
+    VIRTUAL,
+    Cameras,
     LiveDesk,
     LiveSensor,
     NoConnection,
     check_name,
     edge_readings,
+    plugged_in,
+    source_options,
 )
-from palpate.studio.live.page_sources import VIRTUAL, Cameras, plugged_in, source_options
 from palpate.studio.live.reading_rows import Told, named, softness_html, unread, values_html
-from palpate.studio.page_shell import PageBeat, page_shell, page_title
-from palpate.studio.shown_ages import Ages, age_note
-from palpate.studio.status_text import number
+from palpate.studio.page_shell import PageBeat, page_shell, page_title, simulated_badge, state_word
+from palpate.studio.status_text import Ages, age_note, number
 
 REFRESH_S = 0.2
 FIND_S = 1.0  # between two searches for the processes of sensors that do not run

@@ -16,20 +16,29 @@ from urllib.parse import urlencode
 from nicegui import ui
 
 from palpate.core import InputError, PalpateError
-from palpate.rig.real.scale.weight_line import NEWTONS
-from palpate.studio.html_parts import (
+from palpate.rig.real.scale import NEWTONS
+from palpate.studio.library.workspace import Workspace
+from palpate.studio.live.live_desk import (
+    VIRTUAL,
+    Cameras,
+    LiveDesk,
+    check_devices,
+    plugged_in,
+    source_options,
+)
+from palpate.studio.live.live_page import TYPED, live_address, live_name
+from palpate.studio.live.start_desk import StartDesk, StartRun, kept_session
+from palpate.studio.page_shell import (
+    PageBeat,
     commands_html,
+    keep_in_address,
+    page_shell,
+    page_title,
     progress_html,
     simulated_badge,
     state_word,
     trouble_html,
 )
-from palpate.studio.library.workspace import Workspace
-from palpate.studio.live.live_desk import LiveDesk
-from palpate.studio.live.live_page import TYPED, live_address, live_name
-from palpate.studio.live.page_sources import VIRTUAL, Cameras, check_devices, plugged_in, source_options
-from palpate.studio.live.start_desk import StartDesk, StartRun, kept_session
-from palpate.studio.page_shell import PageBeat, keep_in_address, page_shell, page_title
 from palpate.studio.status_text import duration, number
 
 REFRESH_S = 0.25

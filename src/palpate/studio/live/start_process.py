@@ -22,9 +22,9 @@ from typing import TYPE_CHECKING, Any
 
 from palpate.core import PalpateError
 from palpate.core.failure_log import contained
-from palpate.rig.real.scale.weight_line import NEWTONS
-from palpate.studio.library.file_routes import jpeg_bytes
+from palpate.rig.real.scale import NEWTONS
 from palpate.studio.library.job_process import JobVoice
+from palpate.studio.library.workspace import jpeg_bytes
 
 if TYPE_CHECKING:
     from palpate.workflows.start_session import StartSession

@@ -21,7 +21,7 @@ from __future__ import annotations
 import math
 
 from palpate.core import RangeError
-from palpate.psychophysics.rank_observer import RankObserver
+from palpate.psychophysics.judgements import RankObserver
 
 
 def combined_sensitivity(kinesthetic: float, cutaneous: float, correlation: float = 0.0) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 
 from palpate.core import Float, ndarray
 from palpate.psychophysics.analysis.rank_confusion import RankConfusion, confusion_of_places
-from palpate.psychophysics.rank_observer import RankObserver
+from palpate.psychophysics.judgements import RankObserver
 from palpate_reproductions.softness.observers.cue_combination import (
     combined_observer,
     combined_sensitivity,

@@ -22,7 +22,7 @@ from scipy import optimize, special
 
 from palpate.core import Float, Int, RangeError, ndarray
 from palpate.psychophysics.analysis.rank_confusion import RankConfusion, confusion_of_places
-from palpate.psychophysics.rank_observer import RankObserver, gaussian_matrix, mixed_matrix
+from palpate.psychophysics.judgements import RankObserver, gaussian_matrix, mixed_matrix
 
 MAX_SENSITIVITY = 8.0
 MIN_PROBABILITY = 1e-9

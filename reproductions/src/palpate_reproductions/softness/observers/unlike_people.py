@@ -15,7 +15,7 @@ from scipy import optimize
 
 from palpate.core import Float, RangeError, ndarray
 from palpate.psychophysics.analysis.rank_confusion import RankConfusion
-from palpate.psychophysics.rank_observer import RankObserver, gaussian_matrix
+from palpate.psychophysics.judgements import RankObserver, gaussian_matrix
 from palpate_reproductions.softness.observers.cue_prediction import CuePrediction, tested_prediction
 from palpate_reproductions.softness.observers.observer_fit import MAX_SENSITIVITY, sensitivities_at
 

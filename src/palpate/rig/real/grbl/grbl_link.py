@@ -15,7 +15,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from palpate.core import NS_PER_S, Clock, DeviceError, ProtocolError
-from palpate.rig.real.gcode_link import KEPT, CutOffError, GcodeLink, SilenceError
+from palpate.rig.real.gcode_stage import KEPT, CutOffError, GcodeLink, SilenceError
 from palpate.rig.real.grbl.grbl_parser import (
     Alarm,
     Banner,

@@ -15,8 +15,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 from palpate.core import NS_PER_S, Clock, DeviceError, HardwareStopError, Position
-from palpate.rig.real.ur_arm.arm_frame import Pose
-from palpate.rig.real.ur_arm.arm_spec import UrArmSpec
+from palpate.rig.real.ur_arm.arm_spec import Pose, UrArmSpec
 
 RUNNING = 7
 ROBOT_MODES = {

@@ -1,6 +1,6 @@
 """Palm units: constants fitted to a few presses of known force, presses read, and weight checks."""
 
-from palpate.sensors.palm.copies.copy_advice import UnsureConstant, unsure_constants
+from palpate.sensors.palm.copies.copy_estimate import UnsureConstant, unsure_constants
 from palpate.sensors.palm.copies.palm_copy import (
     CopyFit,
     PalmCopy,
@@ -9,8 +9,7 @@ from palpate.sensors.palm.copies.palm_copy import (
     designed_copy,
     measured_copy,
 )
-from palpate.sensors.palm.copies.palm_copy_fit import fit_copy, read_press
-from palpate.sensors.palm.copies.palm_weight import WeightCheck, check_weight
+from palpate.sensors.palm.copies.palm_copy_fit import WeightCheck, check_weight, fit_copy, read_press
 
 __all__ = [
     "CopyFit",

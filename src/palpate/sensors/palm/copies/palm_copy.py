@@ -16,8 +16,8 @@ import numpy as np
 
 from palpate.core import Float, Pose, RangeError, UInt8, ndarray
 from palpate.estimators.unit_fit import Widening, term_rows
+from palpate.sensors.palm.membrane_faults import SIDE_MODES, ResidualMap
 from palpate.sensors.palm.palm_spec import PalmSpec, View
-from palpate.sensors.palm.uneven_membrane import SIDE_MODES, ResidualMap
 
 PIXEL_SD = 0.007  # standard deviation of a pixel over white
 PARTS = ("along", "aside")

@@ -2,19 +2,29 @@
 
 A rough fit uses few rays and every pixel. Fits with all rays follow, behind the untouched frames' background
 and away from edges (`press_picture`), until the edges no longer move.
+
+Palm units on disk, and images of presses from runs and files.
+
+Check of a palm unit by a known weight; an untouched membrane does not show E and C.
+
+The image under the weight gives depth and E C, the weight gives E, and both give C.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
+from pandas import DataFrame
 
 from palpate.core import (
+    Bool,
     Drift,
     Float,
     ImageError,
@@ -25,11 +35,26 @@ from palpate.core import (
     UInt8,
     ndarray,
     silent,
+    storage_errors,
 )
 from palpate.core.errors import MisfitError
-from palpate.estimators.unit_fit import State, cost, most_probable
-from palpate.sensors.palm.copies.copy_estimate import MIN_DEPTH_M, CopyEstimate, joined
-from palpate.sensors.palm.copies.copy_force import deepest_m, log_force
+from palpate.core.parsing import parser
+from palpate.estimators.unit_fit import (
+    WEIGHT_SHARE,
+    State,
+    Widening,
+    changed_since,
+    cost,
+    drifted,
+    most_probable,
+    read_unit,
+    since_fit,
+    weight_n,
+    write_unit,
+)
+from palpate.recordings.exchange.image_files import opencv_image
+from palpate.recordings.run_reader import Run
+from palpate.sensors.palm.copies.copy_estimate import MIN_DEPTH_M, CopyEstimate, deepest_m, joined, log_force
 from palpate.sensors.palm.copies.palm_copy import (
     AT,
     LOCAL,
@@ -39,6 +64,7 @@ from palpate.sensors.palm.copies.palm_copy import (
     PalmCopy,
     PicturedPress,
     PressFound,
+    designed_copy,
 )
 from palpate.sensors.palm.copies.press_picture import (
     BLOCK_PX,
@@ -52,7 +78,8 @@ from palpate.sensors.palm.copies.press_picture import (
     seen_press,
 )
 from palpate.sensors.palm.mirror_view import contact_px
-from palpate.sensors.palm.palm_spec import PalmSpec
+from palpate.sensors.palm.palm_sensor import Palm
+from palpate.sensors.palm.palm_spec import PalmSpec, preset
 
 Place = Float[ndarray, " 3"]
 
@@ -263,3 +290,223 @@ def _place_of(spec: PalmSpec, at_px: Float[ndarray, " 2"]) -> tuple[float, float
     reach = 0.75 * spec.radius_m
     size = max(math.hypot(x, y) / reach, 1.0)
     return float(x / size), float(y / size)
+
+
+FORMAT = "palpate palm copy 3"
+MIN_SHARE = 0.1  # minimum force of a press over the run's maximum
+MAX_REACH = (
+    0.7  # maximum distance from the axis over the radius; images near the rim are not modeled well enough
+)
+
+Image = UInt8[ndarray, "h w 3"]
+
+
+def write_copy(copy: PalmCopy, design: str, path: Path) -> None:
+    """Write a unit as JSON."""
+    others = {
+        "preset": design, "frame_px": list(copy.spec.frame_px), "friction": copy.spec.friction,
+        "widening": copy.widening._asdict(),
+        "local_spreads": dict(zip(LOCAL[3:], copy.local_spreads, strict=True)),
+    }  # fmt: skip
+    write_unit(path, FORMAT, TERMS, copy.terms, copy.covariance, others)
+
+
+@parser("palm unit", InputError)
+def read_copy(path: Path) -> PalmCopy:
+    """Read a unit written by `write_copy`."""
+    return read_unit(path, FORMAT, TERMS, "palpate calibrate --method palm-unit", _made)
+
+
+def _made(record: dict[str, Any], terms: ndarray, covariance: ndarray) -> PalmCopy:
+    width, height = (int(one) for one in record["frame_px"])
+    wider = Widening(**record["widening"])
+    widening = Widening(float(wider.place), float(wider.depth), float(wider.force), int(wider.presses))
+    own = tuple(float(record["local_spreads"][name]) for name in LOCAL[3:])
+    spec = design_for(str(record["preset"]), (height, width), float(record["friction"])).spec
+    if not all(math.isfinite(one) and one > 0 for one in own):
+        raise ValueError(f"spreads of one press, {own}, have to be above 0")
+    if not all(math.isfinite(one) and one >= 1 for one in widening[:3]):
+        raise ValueError(f"{widening} makes intervals narrower")
+    return PalmCopy(spec, terms, covariance, widening, own)
+
+
+def design_for(name: str, frame_px: tuple[int, int], friction: float = 0.0) -> PalmCopy:
+    """Return a preset's design for frames (height, width), full size or as on a virtual rig."""
+    spec = preset(name)
+    on_rig = Palm(spec).for_rig().spec
+    for one in (spec, on_rig):
+        if one.frame_px == frame_px[::-1]:
+            return designed_copy(_with_friction(one, friction))
+    raise ImageError(
+        f"frames of {frame_px[1]} x {frame_px[0]} px; the preset {name} has {spec.frame_px[0]} x "
+        f"{spec.frame_px[1]} px, on a virtual rig {on_rig.frame_px[0]} x {on_rig.frame_px[1]} px",
+        code="frame-size",
+    )
+
+
+def preset_radius_m(name: str) -> float:
+    """Return the membrane radius of a preset [m]."""
+    return preset(name).radius_m
+
+
+def preset_ball(name: str) -> str:
+    """Return the indenter name of a preset's ball."""
+    return Palm(preset(name)).default_probe
+
+
+def _with_friction(spec: PalmSpec, friction: float) -> PalmSpec:
+    if friction not in (0.0, 0.5):
+        raise RangeError(f"friction {friction:g}; presses were solved for 0 and for 0.5")
+    return replace(spec, friction=friction)
+
+
+def pictured_presses(
+    path: Path, count: int, force_share: float, within_m: float = math.inf, ball: str = ""
+) -> list[PicturedPress]:
+    """Return frames of a run with evenly ranked forces above a tenth of the maximum, with their references.
+
+    Args:
+        path: Run.
+        count: Number of frames.
+        force_share: Relative standard deviation of the forces.
+        within_m: Maximum distance from the membrane's axis [m].
+        ball: Indenter to select; any if empty. Frames of lateral loads are excluded.
+    """
+    run = Run.open(path)
+    table = run.labels
+    wanted = ("force_N", "press", "reference", "x_mm", "y_mm")
+    if missing := [name for name in wanted if name not in table]:
+        raise InputError(f"{path} has no label {', '.join(missing)}; a copy needs {', '.join(wanted)}")
+    is_rest = table["reference"].astype(bool).to_numpy()
+    rests = {press: int(i) for i, press in zip(np.flatnonzero(is_rest), table["press"][is_rest], strict=True)}
+    force = table["force_N"].to_numpy(float)
+    places = 1e-3 * table[["x_mm", "y_mm"]].to_numpy(float)
+    straight = ~is_rest & _is_of(table, ball, path)
+    most_n = np.max(force, initial=0.0, where=straight & np.isfinite(force))
+    if straight.any() and not most_n > 0:
+        raise InputError(f"no force of {path} is above 0 N; compression is positive", code="force-sign")
+    able = straight & (force > MIN_SHARE * most_n)
+    able &= np.hypot(*places.T) <= within_m
+    rows = [int(i) for i in np.flatnonzero(able) if table["press"][i] in rests]
+    if not 1 <= count <= len(rows):
+        near = f" within {1e3 * within_m:.3g} mm of the middle" if math.isfinite(within_m) else ""
+        raise InputError(f"{count} presses of {len(rows)} usable frames{near}", code="press-count")
+    rows.sort(key=lambda i: force[i])
+    chosen = [rows[round(k)] for k in np.linspace(0, len(rows) - 1, count)]
+    return [
+        PicturedPress(
+            run.frame(i).image, run.frame(rests[table["press"][i]]).image, float(force[i]), force_share,
+            (float(places[i, 0]), float(places[i, 1])),
+        )
+        for i in chosen
+    ]  # fmt: skip
+
+
+def _is_of(table: DataFrame, ball: str, path: Path) -> Bool[ndarray, " n"]:
+    """Frames of straight presses by the ball."""
+    own = np.ones(len(table), bool)
+    if ball and "indenter" in table:
+        own = (table["indenter"].astype(str) == ball).to_numpy()
+        if not own.any():
+            others = ", ".join(sorted(set(table["indenter"].astype(str))))
+            raise InputError(f"{path} was pressed by {others}, not by {ball}", code="indenter-differs")
+    return own & (table["phase"] != "lateral").to_numpy() if "phase" in table else own
+
+
+@parser("palm picture", ImageError, max_bytes=1 << 30)
+def read_picture(path: Path) -> Image:
+    """Read an image file as 8-bit color."""
+    with storage_errors(path):
+        data = np.frombuffer(path.read_bytes(), np.uint8)
+    image = opencv_image(data, cv2.IMREAD_COLOR)
+    if image is None:
+        raise ImageError(f"{path} is no picture that can be read; give a PNG")
+    return np.ascontiguousarray(image[..., ::-1], dtype=np.uint8)
+
+
+STILL_M, SAID_MOVED = 0.1e-3, 3.0  # maximum motion of a weight at rest, plus standard deviations
+FLOOR = 0.01  # minimum relative uncertainty of E and C
+
+
+@dataclass(frozen=True, slots=True)
+class WeightCheck:
+    """Result of a weight check of a calibrated unit.
+
+    Attributes:
+        force_n: Weight [N].
+        read_n: Force read from the image with the calibrated C [N].
+        modulus_change, coefficient_change: Relative changes since the calibration.
+        modulus_deviations, coefficient_deviations: Changes in standard deviations.
+    """
+
+    force_n: float
+    read_n: float
+    modulus_change: float
+    coefficient_change: float
+    modulus_deviations: float
+    coefficient_deviations: float
+
+    @property
+    def drifted(self) -> tuple[str, ...]:
+        """Names of the changed constants."""
+        return drifted({"modulus": self.modulus_deviations, "coefficient": self.coefficient_deviations})
+
+
+def check_weight(
+    calibrated: PalmCopy, image: UInt8[ndarray, "h w 3"], reference: UInt8[ndarray, "h w 3"], mass_kg: float,
+    progress: Progress = silent,
+) -> tuple[WeightCheck, CopyFit]:  # fmt: skip
+    """Compare a calibrated unit with an object of known mass that rests on the palm's ball.
+
+    Args:
+        calibrated: Unit.
+        image, reference: Frames under the weight at rest and untouched.
+        mass_kg: Total mass on the membrane including the ball [kg].
+        progress: Callback for the rounds.
+
+    Returns:
+        Check, and the unit whose E and C follow from this weight alone.
+    """
+    force_n = weight_n(mass_kg)
+    design = designed_copy(calibrated.spec)
+    now, freedom = since_fit(calibrated.covariance, design.covariance, 2)
+    unchanged = fit_copy(calibrated, [PicturedPress(image, reference)], progress)
+    weighed = [PicturedPress(image, reference, force_n, WEIGHT_SHARE)]
+    known = replace(calibrated, covariance=now + freedom)
+    found = fit_copy(known, weighed, progress, near=unchanged)
+    away, spread = changed_since(found.copy.terms - calibrated.terms, freedom, now, found.copy.covariance)
+    towards = np.array([[1.0, 0.0], [-1.0, 1.0]])  # ln E, ln C
+    change, spread = towards @ away[:2], towards @ spread[:2, :2] @ towards.T
+    deviations = change / np.sqrt(np.diag(spread) + FLOOR**2)
+    shares = np.expm1(change)
+    read_n = found.presses[0].force_n * math.exp(float(change[1]))  # E C is visible, C is the calibrated one
+    return WeightCheck(
+        force_n, read_n, float(shares[0]), float(shares[1]), float(deviations[0]), float(deviations[1])
+    ), found
+
+
+def refuse_rolling(
+    found: CopyFit, image: UInt8[ndarray, "h w 3"], later: UInt8[ndarray, "h w 3"],
+    reference: UInt8[ndarray, "h w 3"], progress: Progress = silent,
+) -> None:  # fmt: skip
+    """Reject a weight that has moved some seconds later, since a push or slope carries part of it.
+
+    Args:
+        found: Unit from `check_weight`.
+        image, later: First and later frame of the weight.
+        reference: Untouched frame.
+        progress: Callback for the rounds.
+    """
+    if np.array_equal(image, later):
+        raise InputError("both pictures of the weight are the same; take the later one some seconds after")
+    first = found.presses[0]
+    then = fit_copy(found.copy, [PicturedPress(later, reference)], progress).presses[0]
+    for name in ("x", "y"):
+        moved = getattr(then, f"{name}_m") - getattr(first, f"{name}_m")
+        spread = math.hypot(getattr(first, f"{name}_sd_m"), getattr(then, f"{name}_sd_m"))
+        if abs(moved) > STILL_M + SAID_MOVED * spread:
+            raise InputError(
+                f"the weight has moved by {1e3 * moved:+.2f} mm along {name} between both pictures, and "
+                f"{1e3 * (STILL_M + SAID_MOVED * spread):.2f} mm are allowed: let it come to rest on a level "
+                "skin, and take both pictures anew"
+            )

@@ -14,7 +14,7 @@ import onnx
 
 from palpate.core import Indices, InputError, Progress, Tensor, Values, silent
 from palpate.core.optional_imports import optional_imports
-from palpate.estimators.networks.camera_variation import CameraVariation
+from palpate.estimators.networks.augmentation import CameraVariation
 from palpate.estimators.networks.compact_cnn import seeded
 from palpate.estimators.networks.model_interface import Scaler, TrainingData, TrainingRecord
 from palpate.estimators.networks.resnet import ResNet18, check_weights

@@ -1,8 +1,13 @@
 """Separate taps of a TacTip: pins identified, a virtual tip fitted, and poses read."""
 
 from palpate.sensors.tactip.taps.tap_folder import FolderFit, RegisteredTaps, fit_folder, register_taps
-from palpate.sensors.tactip.taps.tip_reader import PoseReadings, TipReader
-from palpate.sensors.tactip.taps.tip_reader_file import load_reader, read_images, reader_record
+from palpate.sensors.tactip.taps.tip_reader import (
+    PoseReadings,
+    TipReader,
+    load_reader,
+    read_images,
+    reader_record,
+)
 
 __all__ = [
     "FolderFit",

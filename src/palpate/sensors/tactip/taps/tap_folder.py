@@ -24,9 +24,8 @@ from palpate.core import (
 )
 from palpate.core.parsing import parser
 from palpate.sensors.tactip.posed_tip import POSE, TipTerms
-from palpate.sensors.tactip.taps.pose_polynomial import PosePolynomial
 from palpate.sensors.tactip.taps.tap_pins import NamedPins, named_taps, read_image, spots
-from palpate.sensors.tactip.taps.tip_fit import TipFit, TipJudgement, judge_tip, refuse_alike
+from palpate.sensors.tactip.taps.tip_fit import PosePolynomial, TipFit, TipJudgement, judge_tip, refuse_alike
 from palpate.sensors.tactip.taps.tip_reader import MIN_LEARNT, PoseReadings, TipReader, fit_pins
 
 TABLE, IMAGES = "labels.csv", "images"

@@ -1,6 +1,6 @@
 """Identify the pins of separate taps, each from its own image.
 
-Each pin is named by its lattice cell (`estimators.lattice.pin_lattice`), counted from the field's middle; a
+Each pin is named by its lattice cell (`estimators.lattice.ring_layout`), counted from the field's middle; a
 tip rotated by 30 degrees or more would be misidentified.
 """
 
@@ -16,7 +16,7 @@ import numpy as np
 
 from palpate.core import Float, ImageError, InputError, Progress, UInt8, ndarray, silent, storage_errors
 from palpate.core.parsing import parser
-from palpate.estimators.lattice.pin_lattice import PinLattice, PinLayoutKind, name_pins
+from palpate.estimators.lattice.ring_layout import PinLattice, PinLayoutKind, name_pins
 from palpate.recordings.exchange.image_files import opencv_image
 
 Spots = Float[ndarray, "_ 2"]  # number varies by image

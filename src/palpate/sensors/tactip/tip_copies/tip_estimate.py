@@ -24,7 +24,15 @@ from palpate.estimators.unit_fit import (
     posterior,
     untold_terms,
 )
-from palpate.mechanics.axisymmetric.tip_family import ratio_range, tip_between
+from palpate.mechanics.axisymmetric.tip_table import ratio_range, tip_between
+from palpate.sensors.tactip.posed_tip import (
+    InnerSkin,
+    PinRoots,
+    PinView,
+    TipOptics,
+    pin_roots,
+    plate_motion,
+)
 from palpate.sensors.tactip.tip_copies.plate_presses import PlatePress
 from palpate.sensors.tactip.tip_copies.tip_copy import (
     COPY_TERMS,
@@ -33,14 +41,6 @@ from palpate.sensors.tactip.tip_copies.tip_copy import (
     TermVector,
     TipCopy,
     design_force_n,
-)
-from palpate.sensors.tactip.tip_view import (
-    InnerSkin,
-    PinRoots,
-    PinView,
-    TipOptics,
-    pin_roots,
-    plate_motion,
 )
 
 OWN = 5  # unknowns of a press: depth [mm], tilt from the usual (x, y) [rad], shift (x, y) [px]

@@ -13,9 +13,9 @@ import cv2
 import numpy as np
 
 from palpate.core import Float, RangeError, UInt8, ndarray
-from palpate.mechanics.axisymmetric.tip_family import TipBetween
-from palpate.sensors.tactip.skin_and_markers import head_on, lattice
+from palpate.mechanics.axisymmetric.tip_table import TipBetween
 from palpate.sensors.tactip.tactip_camera import projected, rendered
+from palpate.sensors.tactip.tactip_press import head_on, lattice
 from palpate.sensors.tactip.tactip_spec import TacTipSpec
 
 GLARE_PX = 14.0  # standard deviation of a reflection
