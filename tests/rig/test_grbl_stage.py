@@ -345,3 +345,29 @@ def test_a_retreat_leads_away_from_the_skin_before_its_place_is_known_and_teache
     for distance_m in (0.0, -1e-3, math.nan):
         with pytest.raises(RangeError, match="above 0"):
             stage.retreat(distance_m, 5e-3)
+
+
+def test_a_wrong_digit_in_every_report_is_a_lost_position(grbl_open):
+    bench, stage = grbl_open()
+    for faults in (GrblFaults(wrong_digit_every=1), GrblFaults()):
+        bench.spoil(faults)
+        with pytest.raises(DeviceError):
+            stage.position_m()
+
+
+def test_a_hold_that_meets_a_stage_just_reset_is_cleared_too(grbl_open, monkeypatch):
+    bench, stage = grbl_open(GrblParameters(homed=True, hold_cancels_jog=False))
+    bench.move_to_speed(stage, (-0.030, 0.050, 0.050), 0.010)
+    bench.say(b"!")
+    reset, held = stage._session.reset, []
+
+    def reset_and_hold(**words):  # as another thread's stop can
+        reset(**words)
+        if len(held) < 2:
+            held.append(True)
+            stage._link.slow_down(b"!")
+
+    monkeypatch.setattr(stage._session, "reset", reset_and_hold)
+    stage.stop()
+    assert len(held) == 2
+    assert not stage.moving()

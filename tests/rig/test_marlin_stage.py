@@ -368,3 +368,18 @@ def test_a_stage_that_knows_no_place_still_lifts_away_from_the_skin(opened) -> N
     assert one.gone_mm == pytest.approx((0.0, 0.0, 2.0), abs=STEP_MM)  # its -Z leads into the skin
     with pytest.raises(DeviceError, match="not known"):
         stage.position_m()
+
+
+def test_a_stage_that_runs_to_its_target_after_the_stop_is_no_stop(bench) -> None:
+    one = bench(faults=MarlinFaults(ignores_stop=True), clock=FastClock(5.0), stop_s=100.0)
+    stage = one.open()
+    one.move_to_speed(stage, (0.01, 0.0, 0.0))
+    with pytest.raises(DeviceError, match="ran on"):
+        stage.stop()
+
+
+def test_without_an_emergency_parser_the_stated_latency_is_longer(bench) -> None:
+    quick, slow = (bench(MarlinParameters(emergency_parser=p)).open().travel for p in (True, False))
+    assert quick.latency_s == pytest.approx(0.05)
+    assert slow.latency_s == pytest.approx(0.55)
+    assert slow.overshoot_m(1e-3) > 5 * quick.overshoot_m(1e-3)

@@ -148,12 +148,6 @@ class Run:
         exposure_s, time_s = self._abouts[index][0], float(self.times_s[index])
         return Frame(image, time_s, exposure_s, self.manifest.sensor, self._name(index), index)
 
-    def frame_at(self, time_s: float) -> Frame:
-        """The frame taken nearest to a time [s]; the earlier of two."""
-        if not len(self) or not np.isfinite(time_s):
-            raise RangeError(f"{self.path} has {len(self)} frames, none of them near {time_s} s")
-        return self.frame(int(np.argmin(np.abs(self.times_s - time_s))))
-
     def frames(self) -> Iterator[Frame]:
         """Frames, in order."""
         return (self.frame(index) for index in range(len(self)))
