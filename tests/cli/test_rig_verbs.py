@@ -148,7 +148,7 @@ def test_a_request_to_end_lifts_the_probe_and_leaves_a_run_that_goes_on(tmp_path
     deadline = time.monotonic() + 120
     while not (out / "0000-frames.mcap").exists() and time.monotonic() < deadline:
         time.sleep(0.05)
-    time.sleep(0.2)
+    time.sleep(1.0)  # the probe has begun to move
     process.send_signal(signal.SIGTERM)
     said, error = process.communicate(timeout=120)
     assert process.returncode == 1, error

@@ -89,11 +89,6 @@ class StiffnessCorridor:
         self._median_high: dict[int, float] = {}
         self._rise: dict[int, list[float]] = {}
 
-    @property
-    def is_learnt(self) -> bool:
-        """Whether any press has taught it."""
-        return bool(self._median)
-
     def feel(self, force_n: float, rise_n: float, way_m: float) -> None:
         """Take in one step of a press on its way down: a rise of force over a way, at a force [N, N, m]."""
         if force_n > 0:
