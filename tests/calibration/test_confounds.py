@@ -304,7 +304,7 @@ def test_the_skin_can_be_given_and_the_map_of_pixels_is_a_file_of_the_calibratio
 @pytest.mark.parametrize("seed", range(len(CONFOUNDS)))
 @pytest.mark.cases(1)
 def test_a_confound_of_each_kind_is_named(tmp_path, seed) -> None:
-    case = confounded_case(seed, (pins, spread), 80)
+    case = confounded_case(seed, (pins, spread), 120)
     card = read_card(calibrate(run_of(case, tmp_path), plan_of(case), tmp_path / "cal"))
     assert kinds_named(card) & set(case.wanted), case.name
 
@@ -312,7 +312,7 @@ def test_a_confound_of_each_kind_is_named(tmp_path, seed) -> None:
 @pytest.mark.parametrize("seed", range(2 * len(DRAWN)))
 @pytest.mark.cases(1)
 def test_a_clean_recording_raises_no_alarm(tmp_path, seed) -> None:
-    case = clean_case(seed, DRAWN, 60)
+    case = clean_case(seed, DRAWN, 80)
     card = read_card(calibrate(run_of(case, tmp_path), plan_of(case), tmp_path / "cal"))
     assert not kinds_named(card), case.name
 
