@@ -237,12 +237,12 @@ class MotionGuard:
 
         Where judged, and at a speed at which it may also move towards the skin, it stops on a force that is
         not believed. Faster, or after that, it goes on to its target whatever the sensor reads: away is where
-        nothing is pressed. A lift that a rise of the force has stopped is tried again from the same force
-        only, since z may be turned round.
+        nothing is pressed. A lift that was stopped by a rise of the force continues only if the force has
+        fallen again, since z may be reversed.
         """
         self._limits.check_target(target)
         start_n, up = self._last_force(), target[2] < self.position_m()[2] - LEVEL_M
-        if up and start_n is not None and self._lift_from_n is not None:
+        if up and start_n is not None and self._lift_from_n is not None and not self._disbelieved:
             if start_n > self._lift_from_n + RISE_N:
                 raise self._named(self.monitor.rise(self._lift_from_n, start_n, up))
             start_n = min(start_n, self._lift_from_n)
