@@ -22,8 +22,8 @@ from palpate.core import Clock, ForceSensor, MonotonicClock
 from palpate.core.clock import NS_PER_S
 from palpate.devices.force_bias import Force
 from palpate.rig.commissioning import first_touch, hand_motion
-from palpate.rig.commissioning.hand_motion import await_push
 from palpate.rig.commissioning.setup_answers import toml_text
+from palpate.rig.mean_force import await_push
 from palpate.rig.real.position_evidence import PositionStore
 from palpate.rig.real.uvc_camera import UvcCamera, UvcSettings
 

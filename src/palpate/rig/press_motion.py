@@ -12,10 +12,10 @@ import numpy as np
 
 from palpate.core import InputError, Position, Wrench, own_plans_of
 from palpate.devices import Clearance, ForceBias, ForceReached, Guard, Reason, Tripped
-from palpate.devices.force_bias import Force
 from palpate.recordings.run_reader import ZERO_MOVED
 from palpate.rig.force_checks import touch_gently
 from palpate.rig.label_force import allowed_n, moved_n, slope_n_s
+from palpate.rig.mean_force import SIGMAS, AirForce, contact_n, guarded_mean
 from palpate.rig.plans.recording_plan import PlannedPress, RecordingPlan
 from palpate.rig.rig import Rig
 from palpate.rig.run_progress import TOUCH, ZERO, Recorder
@@ -27,10 +27,6 @@ LOOKS = 16  # that are remembered, for a force that comes late
 FREE = 2.0  # contact thresholds, below which the probe counts as free
 MAX_DRIFT_N = 0.5  # of the zero, from one press to the next
 AIR_S = 0.3  # of listening higher up
-AIR_SAMPLES = 30
-SIGMAS = 5.0  # of the force's noise that a threshold must lie above
-CHANGED_N = 0.05  # change of the mean force that is contact, unless the noise is larger
-NOISY_S = 2.0  # longest time for which a noisy sensor is heard besides
 CHECK_LIFT_MM = 0.6  # of the first approach, to see that the force is that of the air
 ASIDE_STEP_MM = 1.0  # longest move aside of a first approach: what a broken link can run on
 LEVEL_M = 1e-6
@@ -154,12 +150,12 @@ class PressMotion:
         if z < lowered_m - LEVEL_M:
             self._guard.tare(self._rig.force.rate_hz)
             self._search((x, y, lowered_m), None, self._plan.seek_mm_s * MM)
-        before, noise_n, before_n = self._mean_raw()
+        before = self._mean_raw()
         lifted_mm = self._rise(CHECK_LIFT_MM)
-        after, _, after_n = self._mean_raw()
-        changed = math.dist(before, after)
+        after = self._mean_raw()
+        changed = math.dist(before.force_n, after.force_n)
         # Not the plan's threshold, which is for single samples: on a soft skin a lift changes less than that.
-        if changed > max(CHANGED_N, SIGMAS * math.hypot(before_n, after_n)):
+        if changed > contact_n(before, after):
             self._rise(HIGHER_MM)
             raise Tripped(
                 Reason.TOUCHED_EARLY,
@@ -167,7 +163,7 @@ class PressMotion:
                 "first approach: the probe was in contact. Lift it, and check the stage's position",
             )
         self._guard.tare(self._rig.force.rate_hz)  # first, as it names a fault more precisely
-        self._check_noise(noise_n)
+        self._check_noise(before.noise_n)
 
     def _rise(self, by_mm: float) -> float:
         """Lift slowly from where the probe is, within the limits; by how much [mm]."""
@@ -176,21 +172,9 @@ class PressMotion:
         self._guard.away((x, y, higher), self._plan.seek_mm_s * MM)
         return (z - higher) / MM
 
-    def _mean_raw(self) -> tuple[Force, float, float]:
-        """Mean force at a stand, without the zero; standard deviation of a sample and of the mean [N]."""
-        self._guard.look(judged=False)  # older samples belong to another position
-        rate_hz = self._rig.force.rate_hz
-        samples = self._guard.wait(max(AIR_S, AIR_SAMPLES / rate_hz), judged=False)
-        bias = ForceBias(self._rig.mounting)
-        bias.measure(samples)
-        wanted = 2 * (SIGMAS * bias.noise_n / CHANGED_N) ** 2
-        if wanted > len(samples):
-            samples = [
-                *samples,
-                *self._guard.wait(min((wanted - len(samples)) / rate_hz, NOISY_S), judged=False),
-            ]
-            bias.measure(samples)
-        return bias.force_n, bias.noise_n, bias.noise_n / math.sqrt(len(samples))
+    def _mean_raw(self) -> AirForce:
+        """Mean force at a stand, without the zero."""
+        return guarded_mean(self._guard, self._rig.force.rate_hz, self._rig.mounting, AIR_S)
 
     def measure_bias(self) -> None:
         """Measure the force sensor's zero, standing in the air.

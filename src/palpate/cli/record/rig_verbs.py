@@ -46,7 +46,7 @@ SHOWN_IN = {"s": (1e3, "ms"), "m": (1e3, "mm"), "m/s": (1e3, "mm/s")}
 def opened_at(position: str | None, opens: Callable[[PositionFrom], Opened]) -> Opened:
     """Open a rig by the source of its stage's position; without one, ask a person where that is unknown."""
     from palpate.core import InputError, PositionUnknownError
-    from palpate.rig.commissioning.hand_motion import PUSH
+    from palpate.rig.mean_force import PUSH
 
     sources: dict[str, PositionFrom] = {
         "stored": "stored",

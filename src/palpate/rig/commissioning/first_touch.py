@@ -19,25 +19,21 @@ from palpate.devices import Limits, Mounting
 from palpate.devices.force_bias import Force
 from palpate.devices.motion_limits import Reason, Tripped
 from palpate.rig.commissioning.hand_motion import (
-    AXES,
-    CHANGED_N,
     FLAT_M,
     JOG_N,
     LIFT_SPEED_M_S,
     MAX_JOG_M,
     MAX_JOG_M_S,
-    PUSH,
     Hand,
-    await_push,
     guard_from_air,
     has_room_to_lift,
     hop_to,
     lift_clear,
-    mean_force,
     move_watched,
 )
 from palpate.rig.commissioning.homing import home_clear
 from palpate.rig.commissioning.setup_answers import Answers, Three, three_of
+from palpate.rig.mean_force import AXES, CHANGED_N, PUSH, await_push, mean_force
 from palpate.rig.rig_file import RigFile, open_part
 
 MM = 1e3

@@ -7,9 +7,8 @@ force stays what it is while the probe is lifted, and in contact it does not.
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple, Protocol, runtime_checkable
 
 from palpate.core import (
@@ -21,13 +20,24 @@ from palpate.core import (
     Position,
     RangeError,
     Stage,
-    Wrench,
 )
 from palpate.devices import ForceReached, Limits, Mounting, OperatorControl, Reason, Tripped
-from palpate.devices.device_proxies import PlainForceSource
 from palpate.devices.force_bias import Force, ForceBias
 from palpate.devices.motion_guard import MotionGuard
 from palpate.rig.commissioning.felt_way import feel_way
+from palpate.rig.mean_force import (
+    CHANGED_N,
+    POLL_S,
+    SIGMAS,
+    AirForce,
+    LiveSamples,
+    await_push,
+    contact_n,
+    discard,
+    fresh_samples,
+    guarded_mean,
+    mean_force,
+)
 
 STEP_M = 0.2e-3  # of a lift; the force is measured after each
 SAME_M = 1e-6  # between two positions that are the same
@@ -35,16 +45,9 @@ FLAT_M = 0.6e-3  # of lifting without a change of force, which proves the air
 MAX_LIFT_M = 20e-3
 HOP_M = 0.5e-3  # of a motion that no force bounds: where this process dies, the stage ends such a hop
 LIFT_SPEED_M_S = 2e-3
-CHANGED_N = 0.05  # a change of force that is contact, unless the noise is larger
-SIGMAS = 5.0
 RISE_N = 1.0  # by which compression may rise on the way away: beyond, z is turned round
-MIN_SAMPLES = 25
-NOISY_S = 2.0  # longest time for which a noisy sensor is heard besides
 UNSEEN_N = 0.1  # greatest change of force that may stay unseen before a jog
-MEASURE_S = 0.1
-POLL_S = 0.002
 LATE_S = 2.0  # beyond the time that a move should take, three times over
-STALE_S = 0.5
 MAX_JOG_M = 50e-3
 MAX_JOG_M_S = 10e-3
 MAX_UNGUARDED_M_S = 2e-3
@@ -54,18 +57,8 @@ SEARCH_SPEED_M_S = 1e-3
 SEARCH_REACH_M = 5e-3  # greatest distance from the skin at which a touch-off begins
 SEARCH_N = 0.3  # change of force that stops a step of a touch-off on its way
 TOUCH_OFF_LIFT_M = 2e-3  # height above the skin at which a touch-off ends
-PUSH_N = 0.5  # change of force by a hand that shows that the sensor measures force
-PUSH_WAIT_S = 60.0  # longest wait for a push, and for its end
-PUSH_MEANS = 20  # means of 0.1 s within which a push rises; a drift does not
-RELEASED_N, RELEASED_SHARE = 0.1, 0.2  # force that may be left of a push
-RELEASED_S = 1.0  # time for which the force stays so
 AGREE_M = 0.3e-3  # difference of two searches for the skin
 MAX_CHANGE_N = 10.0  # change of force in a lift without limits of the rig
-AXES = "xyz"
-PUSH = (
-    f"Push the probe's tip towards the stage, by hand, as the skin will, with more than {PUSH_N:g} N, and "
-    "let go: the stage moves only once the force sensor has responded"
-)
 
 
 class Hand(NamedTuple):
@@ -95,182 +88,6 @@ class Homing(Protocol):
     def retreat(self, distance_m: float, speed_m_s: float) -> None: ...
     def approach(self, distance_m: float, speed_m_s: float) -> None: ...
     def reference(self, position_m: Position) -> None: ...
-
-
-@dataclass(frozen=True, slots=True)
-class AirForce:
-    """Force that the sensor reads in the air, in the skin's axes, and how that was shown.
-
-    Attributes:
-        force_n: mean of its samples [N].
-        noise_n: their standard deviation along the press [N].
-        rate_hz: of the samples that came [Hz].
-        lifted_mm: by how far the probe was lifted [mm].
-        samples: that the mean is of.
-    """
-
-    force_n: Force
-    noise_n: float
-    rate_hz: float
-    lifted_mm: float
-    samples: int = MIN_SAMPLES
-
-    @property
-    def error_n(self) -> float:
-        """Standard deviation of the mean along the press [N]."""
-        return self.noise_n / math.sqrt(self.samples)
-
-
-class LiveSamples:
-    """Samples of a force sensor that guards a motion; silence and repeated samples are detected."""
-
-    def __init__(self, force: ForceSensor, clock: Clock) -> None:
-        self._force, self._clock = force, clock
-        self._patience_ns = round(max(STALE_S, MIN_SAMPLES / force.rate_hz) * NS_PER_S)
-        self._newest: Wrench | None = None
-        self._repeats = 0
-        self._changed_ns = clock.now_ns()  # of this clock: the stamps of a faulty sensor may lie
-
-    def take(self) -> list[Wrench]:
-        """Return the samples since the last call.
-
-        Raises:
-            Tripped: A sample is faulty, or no new value came for `STALE_S` (25 samples at least).
-        """
-        samples = _fresh(self._force)
-        for one in samples:
-            before, self._newest = self._newest, one
-            if before is None or (before.force_n, before.torque_nm) != (one.force_n, one.torque_nm):
-                self._changed_ns, self._repeats = self._clock.now_ns(), 0
-            else:
-                self._repeats += 1
-        if self._clock.now_ns() - self._changed_ns > self._patience_ns:
-            reason = Reason.FORCE_STUCK if self._repeats else Reason.FORCE_STALE
-            waited_s = self._patience_ns / NS_PER_S
-            raise Tripped(reason, f"no new force came for {waited_s:g} s while the stage moved")
-        return samples
-
-
-def _fresh(force: ForceSensor) -> list[Wrench]:
-    """Samples since the last call; one that a sensor reports as faulty, or that is no number, raises."""
-    samples = PlainForceSource(force).drain()
-    for one in samples:
-        if one.fault:
-            raise Tripped(Reason.FORCE_FAULT, f"the force sensor reports: {one.fault}")
-    return samples
-
-
-def mean_force(force: ForceSensor, mounting: Mounting, clock: Clock, *, brief: bool = False) -> AirForce:
-    """Mean of fresh samples, at a stand; on a busy computer samples are waited for up to `STALE_S`.
-
-    A noisy sensor is heard longer, by `NOISY_S` at most, so that its mean tells a contact that a quiet one
-    would.
-
-    Args:
-        force: sensor, at a stand.
-        mounting: of the sensor.
-        clock: of the sensor.
-        brief: do not hear a noisy sensor longer: a push by hand looks like noise.
-
-    Raises:
-        Tripped: too few come, they are faulty, or all of them are the same in every channel.
-    """
-    discard(force)
-    began_ns = clock.now_ns()
-    seconds = max(MEASURE_S, 1.5 * MIN_SAMPLES / force.rate_hz)
-    clock.sleep(seconds)
-    samples = PlainForceSource(force).drain()
-    while len(samples) < MIN_SAMPLES and clock.now_ns() - began_ns < (seconds + STALE_S) * NS_PER_S:
-        clock.sleep(POLL_S)
-        samples += PlainForceSource(force).drain()
-    bias = ForceBias(mounting)
-    bias.measure(samples)
-    wanted = 2 * (SIGMAS * bias.noise_n / CHANGED_N) ** 2
-    if wanted > len(samples) and not brief:
-        clock.sleep(min((wanted - len(samples)) / force.rate_hz, NOISY_S))
-        samples += PlainForceSource(force).drain()
-        bias.measure(samples)
-    if len({(one.force_n, one.torque_nm) for one in samples if not one.fault}) == 1:
-        raise Tripped(
-            Reason.FORCE_NOISE,
-            f"the force sensor gave {len(samples)} equal samples, in every channel: it does not measure, or "
-            "is too coarse to guard a motion; push it by hand and look",
-        )
-    taken_s = max((clock.now_ns() - began_ns) / NS_PER_S, 1e-9)
-    return AirForce(bias.force_n, bias.noise_n, len(samples) / taken_s, 0.0, len(samples))
-
-
-def discard(force: ForceSensor) -> None:
-    """Drop the samples that came before now, and do not mind those that were lost while nobody asked.
-
-    Raises:
-        DeviceError: the sensor has failed.
-    """
-    try:
-        force.drain()
-    except DeviceError:  # more came than are kept, as while a person reads; it says so once
-        force.drain()
-
-
-def await_push(force: ForceSensor, clock: Clock, axis: int | None = None) -> Force:
-    """Wait until the force sensor responds to a push by hand, and until the hand is gone.
-
-    Noise alone does not show that a sensor measures force: one with a broken bridge has noise too, and a
-    search for the skin that it guards ends deep in the skin. A push rises within two seconds and leaves no
-    force behind, so that a drift or a jump is none. `PUSH` is what to tell the operator.
-
-    Args:
-        axis: Axis of the sensor along which the push must be felt: 0, 1, or 2; None for any.
-
-    Returns:
-        Change of force by the push, in the sensor's own axes [N].
-
-    Raises:
-        Tripped: No response within `PUSH_WAIT_S` (`FORCE_DEAD`), or the force does not return to what it was
-            (`FORCE_NOISE`).
-    """
-    end_ns = clock.now_ns() + round(PUSH_WAIT_S * NS_PER_S)
-    means: deque[AirForce] = deque([mean_force(force, Mounting(), clock, brief=True)], maxlen=PUSH_MEANS)
-    while True:
-        now = mean_force(force, Mounting(), clock, brief=True)
-        for before in means:
-            push = _difference(now, before)
-            felt_n = math.hypot(*push) if axis is None else abs(push[axis])
-            if felt_n >= max(PUSH_N, _contact_n(now, before)):
-                return _released(force, clock, before, push, axis)
-        means.append(now)
-        if clock.now_ns() > end_ns:
-            raise Tripped(
-                Reason.FORCE_DEAD,
-                f"the force sensor did not respond to a push by hand of more than {PUSH_N:g} N "
-                f"{'' if axis is None else f'along its {AXES[axis]} '}within {PUSH_WAIT_S:g} s, so nothing "
-                "moved; check its cable, its axes, and its load path, then repeat",
-            )
-
-
-def _released(force: ForceSensor, clock: Clock, rest: AirForce, push: Force, axis: int | None) -> Force:
-    """Wait until the force has been what it was before a push for `RELEASED_S`; the greatest change [N]."""
-    end_ns = clock.now_ns() + round(PUSH_WAIT_S * NS_PER_S)
-    since_ns = clock.now_ns()
-    while clock.now_ns() - since_ns < RELEASED_S * NS_PER_S:
-        now = mean_force(force, Mounting(), clock, brief=True)
-        change = _difference(now, rest)
-        push = max(push, change, key=lambda one: math.hypot(*one) if axis is None else abs(one[axis]))
-        if math.hypot(*change) > max(RELEASED_N, RELEASED_SHARE * math.hypot(*push), _contact_n(now, rest)):
-            since_ns = clock.now_ns()
-        if clock.now_ns() > end_ns:
-            raise Tripped(
-                Reason.FORCE_NOISE,
-                f"the force did not return to what it was before the push by hand within {PUSH_WAIT_S:g} s, "
-                f"so nothing moved: it is {math.hypot(*change):.2f} N away. Let go of the probe, or let the "
-                "sensor warm up, then repeat",
-            )
-    return push
-
-
-def _difference(a: AirForce, b: AirForce) -> Force:
-    x, y, z = (p - q for p, q in zip(a.force_n, b.force_n, strict=True))
-    return x, y, z
 
 
 def lift_clear(
@@ -306,7 +123,7 @@ def lift_clear(
         retreat(hand, step_m, LIFT_SPEED_M_S, start=start, rise_n=rise_n, most_n=most_n)
         lifted_m, flat_m = lifted_m + step_m, flat_m + step_m
         at = hand.felt()
-        if math.dist(at.force_n, reference.force_n) > _contact_n(at, reference):
+        if math.dist(at.force_n, reference.force_n) > contact_n(at, reference):
             reference, flat_m = at, 0.0
         elif lifted_m == step_m:  # it began in the air, where nothing changes the force but a skin above it
             most_n = min(most_n, rise_n)
@@ -371,7 +188,7 @@ def _search(hand: Hand, air: AirForce, reach_m: float) -> float:
         _search_step(hand, air)
         lowered_m += SEARCH_STEP_M
         at = hand.felt_raw()
-        if math.dist(at.force_n, air.force_n) > _contact_n(at, air):
+        if math.dist(at.force_n, air.force_n) > contact_n(at, air):
             return lowered_m
 
 
@@ -379,7 +196,7 @@ def _lift_off(hand: Hand, air: AirForce) -> AirForce:
     """Lift by `TOUCH_OFF_LIFT_M` from the skin, to the force of the air."""
     retreat(hand, TOUCH_OFF_LIFT_M, LIFT_SPEED_M_S)
     left = hand.felt_raw()
-    if math.dist(left.force_n, air.force_n) > _contact_n(left, air):
+    if math.dist(left.force_n, air.force_n) > contact_n(left, air):
         raise Tripped(
             Reason.FORCE_DRIFT,
             f"after a touch-off the force did not return to that of the air, {TOUCH_OFF_LIFT_M * 1e3:g} mm "
@@ -392,7 +209,7 @@ def _search_step(hand: Hand, air: AirForce) -> None:
     """Go down by one step, stopped on the way by a change of force."""
 
     def look() -> None:
-        for one in _fresh(hand.force):
+        for one in fresh_samples(hand.force):
             if math.dist(one.force_n, air.force_n) > SEARCH_N:
                 hand.stage.stop()
 
@@ -440,7 +257,7 @@ def guard_from_air(hand: Hand, limits: Limits, stop_n: float) -> tuple[MotionGua
     )
     room = has_room_to_lift(stage, limits)
     seen = zero(hand, limits) if room else hand.felt_raw()
-    if (unseen_n := _contact_n(seen, seen)) > UNSEEN_N:
+    if (unseen_n := contact_n(seen, seen)) > UNSEEN_N:
         raise Tripped(
             Reason.FORCE_NOISE,
             f"a contact of {unseen_n:.2f} N would stay unseen in the noise of {seen.noise_n:.2f} N, and "
@@ -464,26 +281,17 @@ def _prove_air_below(hand: Hand, guard: MotionGuard, limits: Limits, speed_m_s: 
     x, y, z = hand.stage.position_m()
     highest = limits.least_m[2]
     guard.towards((x, y, highest), speed_m_s)
-    air = _heard(guard, hand.force)
+    air = guarded_mean(guard, hand.force.rate_hz, Mounting())
     felt = ForceReached(max(CHANGED_N, 1.5 * SIGMAS * air.noise_n), any_way=True)
     touched = guard.towards((x, y, highest + FLAT_M), speed_m_s, felt, SEARCH_STEP_M)
-    now = _heard(guard, hand.force)
-    if touched or math.dist(now.force_n, air.force_n) > _contact_n(now, air):
+    now = guarded_mean(guard, hand.force.rate_hz, Mounting())
+    if touched or math.dist(now.force_n, air.force_n) > contact_n(now, air):
         guard.away((x, y, min(z, highest + FLAT_M)), speed_m_s)
         raise Tripped(
             Reason.TOUCHED_EARLY,
             f"the probe met something less than {FLAT_M * 1e3:g} mm below the upper soft limit, which leaves "
             "no room to lift it: raise the limit (least_mm, z), or correct the stage's position",
         )
-
-
-def _heard(guard: MotionGuard, force: ForceSensor) -> AirForce:
-    """Mean of fresh samples in the sensor's own axes, taken through the guard, which misses none then."""
-    guard.look(judged=False)  # older samples belong to another position
-    samples = guard.wait(max(MEASURE_S, 1.5 * MIN_SAMPLES / force.rate_hz), judged=False)
-    bias = ForceBias(Mounting())
-    bias.measure(samples)
-    return AirForce(bias.force_n, bias.noise_n, force.rate_hz, 0.0, len(samples))
 
 
 def jog(
@@ -594,11 +402,6 @@ def _jog_target(
     return x, y, z
 
 
-def _contact_n(a: AirForce, b: AirForce) -> float:
-    """Change between two means that noise does not explain [N]."""
-    return max(CHANGED_N, SIGMAS * math.hypot(a.error_n, b.error_n))
-
-
 def retreat(
     hand: Hand,
     distance_m: float,
@@ -621,7 +424,7 @@ def retreat(
 
     def look() -> None:
         # A sensor that feels nothing ends no lift out of a skin that it may not feel.
-        for one in _fresh(hand.force) if math.isinf(most_n) else live.take():
+        for one in fresh_samples(hand.force) if math.isinf(most_n) else live.take():
             _check_lift(hand.mounting.to_skin(one.force_n), from_n, rise_n + noise_n, most_n + noise_n)
 
     x, y, z = stage.position_m() if not isinstance(stage, Homing) else (0.0, 0.0, 0.0)

@@ -10,19 +10,8 @@ from dataclasses import replace
 from palpate.core import Clock, DeviceError, ForceSensor, Stage
 from palpate.devices import Mounting, Reason, Tripped
 from palpate.devices.force_bias import Force
-from palpate.rig.commissioning.hand_motion import (
-    LIFT_SPEED_M_S,
-    POLL_S,
-    RISE_N,
-    AirForce,
-    Hand,
-    Homing,
-    LiveSamples,
-    discard,
-    lift_clear,
-    mean_force,
-    retreat,
-)
+from palpate.rig.commissioning.hand_motion import LIFT_SPEED_M_S, RISE_N, Hand, Homing, lift_clear, retreat
+from palpate.rig.mean_force import POLL_S, AirForce, LiveSamples, discard, mean_force
 
 HOMING_LIFT_M = 8e-3  # at least, before homing, whatever the force says: a numb sensor reads as air does
 HOMING_N = 1.0  # change of force that ends homing

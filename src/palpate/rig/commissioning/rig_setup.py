@@ -40,7 +40,6 @@ from palpate.rig.commissioning.first_touch import (
     first_touch,
     weigh,
 )
-from palpate.rig.commissioning.hand_motion import discard, mean_force
 from palpate.rig.commissioning.setup_answers import (
     BAUD,
     Answers,
@@ -51,6 +50,7 @@ from palpate.rig.commissioning.setup_answers import (
     toml_text,
     video_devices,
 )
+from palpate.rig.mean_force import discard, mean_force
 from palpate.rig.rig_check import check_rig
 from palpate.rig.rig_file import MAX_LIMITS, LimitsPart, PositionFrom, RigFile, open_part, open_rig
 

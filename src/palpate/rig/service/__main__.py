@@ -15,7 +15,7 @@ from palpate.core.failure_log import contained, thread_failures
 from palpate.devices.long_running import keep_loaded
 from palpate.devices.rpc import Address, hold, publish
 from palpate.devices.supervisor.owning_process import raise_priority
-from palpate.rig.commissioning.hand_motion import PUSH
+from palpate.rig.mean_force import PUSH
 from palpate.rig.rig_file import PositionFrom
 from palpate.rig.service.rig_client import open_served_rig
 from palpate.rig.service.rig_service import RigServer, RigService
