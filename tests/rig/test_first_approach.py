@@ -123,13 +123,35 @@ class TurnedStage(MistakenStage):
         self._stage.move_to((x, y, -2.0 * MM - z), speed_m_s)
 
 
+class LoadedForce:
+    """A force sensor that was not tared, with a tool's weight."""
+
+    def __init__(self, force: ForceSensor, weight_n: Position) -> None:
+        self._force, self._weight_n = force, weight_n
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._force, name)
+
+    def _loaded(self, one: Wrench) -> Wrench:
+        x, y, z = (a + b for a, b in zip(one.force_n, self._weight_n, strict=True))
+        return replace(one, force_n=(x, y, z))
+
+    def drain(self) -> list[Wrench]:
+        return [self._loaded(one) for one in self._force.drain()]
+
+    def latest(self) -> Wrench:
+        return self._loaded(self._force.latest())
+
+
+@pytest.mark.parametrize("weight_n", [(0.0, 0.0, 0.0), (0.0, 0.0, -5.0), (0.0, 0.0, 5.0), (20.0, 0.0, 0.0)])
 def test_a_first_lift_that_leads_into_the_skin_ends_at_search_speed_and_is_not_repeated_deeper(
-    tmp_path: Path,
+    tmp_path: Path, weight_n: Position
 ) -> None:
     made = rig(variation=IDEAL)
     stage = TurnedStage(made.stage, (0.0, 0.0, 0.0))
     chosen = plan(clearance_mm=4.0)
-    outcome = record(replace(made, stage=stage), chosen, tmp_path / "run")
+    force = LoadedForce(made.force, weight_n)
+    outcome = record(replace(made, stage=stage, force=force), chosen, tmp_path / "run")
     assert outcome.state is State.FAILED
     assert stage.fastest_m_s == pytest.approx(chosen.seek_mm_s * MM)
     assert stage.deepest_m / MM <= 1.0, "of the 4 mm to the clearance"

@@ -137,7 +137,7 @@ class MotionGuard:
         self._stoppable: tuple[OperatorCommand, ...] = ()  # what may stop the move that is under way
         self._age_s = 0.0  # of the sample that `fresh` handed out last
         self._left: Position | None = None  # where it stood after the last move that arrived
-        self._lift_from_n: float | None = None  # force at the start of a lift that a rise has stopped
+        self._lift_from: Force | None = None  # force at the start of a lift that a rise has stopped [N]
 
     @property
     def force_n(self) -> Force:
@@ -241,28 +241,29 @@ class MotionGuard:
         fallen again, since z may be reversed.
         """
         self._limits.check_target(target)
-        start_n, up = self._last_force(), target[2] < self.position_m()[2] - LEVEL_M
-        if up and start_n is not None and self._lift_from_n is not None and not self._disbelieved:
-            if start_n > self._lift_from_n + RISE_N:
-                raise self._named(self.monitor.rise(self._lift_from_n, start_n, up))
-            start_n = min(start_n, self._lift_from_n)
+        start, up = self._last_force(), target[2] < self.position_m()[2] - LEVEL_M
+        before = self._lift_from if up and not self._disbelieved else None
+        if start is not None and before is not None:
+            if self._rises(before, start):
+                raise self._named(self.monitor.rise(before, start, up))
+            start = min(start, before, key=self._rising_part)
 
         def rising(sample: Wrench) -> None:
-            force = math.hypot(*self._bias.force(sample))
+            force = self._bias.force(sample)
             if sample.fault or self._disbelieved:
                 return
-            if slow and force <= self._limits.force_n:
+            if slow and math.hypot(*force) <= self._limits.force_n:
                 self._believe(sample)
-            if start_n is not None and force > start_n + RISE_N:
-                self._lift_from_n = start_n if up else self._lift_from_n
-                raise _DoubtError(self.monitor.rise(start_n, force, up))
+            if start is not None and self._rises(start, force):
+                self._lift_from = start if up else self._lift_from
+                raise _DoubtError(self.monitor.rise(start, force, up))
 
         travel = self._stage.travel
         speed = min(speed_m_s, travel.top_speed_m_s)
         slow = judged and self._limits.runs_on_m(speed, travel) <= self._limits.overshoot_m
         self._phase = Phase.UP if slow else Phase.LIFT
         self._run(target, speed, _never, rising, LEAVING)
-        self._lift_from_n = None
+        self._lift_from = None
 
     def look(self, asks: tuple[OperatorCommand, ...] = AT_ONCE, *, judged: bool = True) -> list[Wrench]:
         """Take in and publish what the sensor measured since, and raise on what must stop a motion."""
@@ -468,13 +469,25 @@ class MotionGuard:
         self._believe(sample)
         self._watch.check_rate(sample.time_ns, force[2])
 
-    def _last_force(self) -> float | None:
+    def _last_force(self) -> Force | None:
         """Newest force, however old [N]; None where the sensor does not say."""
         try:
             newest = self._sensor.latest()
         except DeviceError:
             return None
-        return None if newest.fault else math.hypot(*self._bias.force(newest))
+        return None if newest.fault else self._bias.force(newest)
+
+    def _rising_part(self, force: Force) -> float:
+        """What of a force rises where the probe is pressed [N].
+
+        Before a zero was measured, a tool's weight may lie in any direction, and hide in the magnitude what
+        is pressed.
+        """
+        return force[2] if self.monitor.air is None else math.hypot(*force)
+
+    def _rises(self, start: Force, force: Force) -> bool:
+        """Whether a force rose by more than a motion away explains."""
+        return self._rising_part(force) > self._rising_part(start) + RISE_N
 
 
 P = ParamSpec("P")

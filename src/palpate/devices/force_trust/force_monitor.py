@@ -29,7 +29,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from palpate.core import NS_PER_S, Travel, Wrench
-from palpate.devices.force_bias import ForceBias
+from palpate.devices.force_bias import Force, ForceBias
 from palpate.devices.force_trust.air_noise import (
     AirNoise,
     SampleDating,
@@ -284,10 +284,15 @@ class ForceMonitor:
         text = f"no force came for {age_s * 1e3:.0f} ms at {self._speed * 1e3:g} mm/s"
         return self._doubt("gap", text, age_s=age_s, allowed_s=self.oldest_s)
 
-    def rise(self, from_n: float, to_n: float, up: bool) -> Doubt:
+    def rise(self, start: Force, force: Force, up: bool) -> Doubt:
         """Doubt about a force that rises while the probe moves away, up, or through the air [N]."""
         where = "while moving away" if up else "on the way to the clearance"
-        return self._doubt("rise" if up else "struck", f"{to_n:.2f} N {where}, from {from_n:.2f} N")
+        to_n, from_n = math.hypot(*force), math.hypot(*start)
+        change_n = math.dist(force, start)
+        return self._doubt(
+            "rise" if up else "struck",
+            f"{to_n:.2f} N {where}, from {from_n:.2f} N, a change of {change_n:.2f} N",
+        )
 
     def take(self, sample: Wrench) -> Doubt | None:
         """Hold a good sample against those before, in the order in which they came."""
