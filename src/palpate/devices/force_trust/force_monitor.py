@@ -291,7 +291,7 @@ class ForceMonitor:
         change_n = math.dist(force, start)
         return self._doubt(
             "rise" if up else "struck",
-            f"{to_n:.2f} N {where}, from {from_n:.2f} N, a change of {change_n:.2f} N",
+            f"the force changed by {change_n:.2f} N {where}, from {from_n:.2f} N to {to_n:.2f} N",
         )
 
     def take(self, sample: Wrench) -> Doubt | None:
