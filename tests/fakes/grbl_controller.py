@@ -388,6 +388,8 @@ class GrblController:
 
     def _dump(self) -> None:
         for number, value in sorted(self.settings.items()):
+            if math.isnan(value):  # a setting that this firmware lacks
+                continue
             self._say(f"${number}={value:.3f}" if number >= 100 else f"${number}={value:g}")
 
     def _report(self) -> str:

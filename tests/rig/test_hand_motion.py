@@ -20,9 +20,9 @@ from palpate.devices.device_proxies import driver_errors
 from palpate.devices.motion_limits import Reason, Tripped
 from palpate.rig.commissioning.bench import Bench, frame_times
 from palpate.rig.commissioning.first_touch import touch_twice
-from palpate.rig.commissioning.hand_motion import Hand, jog, lift_clear, touch_off, zero
+from palpate.rig.commissioning.hand_motion import jog, lift_clear, touch_off, zero
 from palpate.rig.commissioning.homing import home_clear
-from palpate.rig.mean_force import await_push, discard
+from palpate.rig.mean_force import Hand, await_push, discard
 from palpate.rig.rig import Rig
 from palpate.rig.rig_file import MarlinPart, open_rig
 from palpate.rig.virtual import Fault, virtual_rig

@@ -1,6 +1,7 @@
 """Homing ends where the force changes, and never begins towards the skin."""
 
 import itertools
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -107,9 +108,12 @@ def test_a_startup_block_that_moves_is_refused(grbl_bench, block: str, moves: bo
         bench.open(known=False)
 
 
-def test_lathe_mode_is_refused(grbl_bench) -> None:
-    bench = grbl_bench(GrblParameters(firmware="grblHAL", homed=True, settings={32: 2}))
-    with refused("lathe-mode", DeviceError):
+@pytest.mark.parametrize(
+    ("settings", "code"), [({32: 2}, "lathe-mode"), ({22: 513, 25: math.nan}, "homing-speed")]
+)
+def test_modes_of_grblhal_that_are_not_read_are_refused(grbl_bench, settings, code: str) -> None:
+    bench = grbl_bench(GrblParameters(firmware="grblHAL", homed=True, settings=settings))
+    with refused(code, DeviceError):
         bench.open(known=False)
 
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import random
+import sys
+import threading
 import tomllib
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -412,3 +415,19 @@ def test_a_jog_without_a_guard_needs_the_word_for_it_and_keeps_its_limits(tmp_pa
         done = palpate("rig", "jog", file, "--axis", "x", "--mm", "1", "--unguarded")
         assert done.returncode == 0, done
         assert lab_.stage.place_mm[0] == pytest.approx(-49.0, abs=0.01)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs a pseudo-terminal")
+def test_what_was_typed_before_a_question_that_moves_the_stage_does_not_answer_it(monkeypatch) -> None:
+    master, slave = os.openpty()
+    with open(slave) as terminal:
+        monkeypatch.setattr(sys, "stdin", terminal)
+        answers = Answers(read=lambda question: terminal.readline())
+        os.write(master, b"palm\n")
+        assert answers.text("design", "Design") == "palm"
+        os.write(master, b"yes\n")
+        later = threading.Timer(0.5, os.write, (master, b"no\n"))
+        later.start()
+        assert answers.confirm("home", "Home the stage now", True) is False
+        later.join()
+    os.close(master)

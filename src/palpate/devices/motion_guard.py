@@ -237,11 +237,11 @@ class MotionGuard:
 
         Where judged, and at a speed at which it may also move towards the skin, it stops on a force that is
         not believed. Faster, or after that, it goes on to its target whatever the sensor reads: away is where
-        nothing is pressed. A lift that was stopped by a rise of the force continues only if the force has
-        fallen again, since z may be reversed.
+        nothing is pressed. Where the force rises, since z may be reversed, it goes back to where it began.
         """
         self._limits.check_target(target)
-        start, up = self._last_force(), target[2] < self.position_m()[2] - LEVEL_M
+        began, began_ns, risen = self.position_m(), self._clock.now_ns(), False
+        start, up = self._last_force(), target[2] < began[2] - LEVEL_M
         before = self._lift_from if up and not self._disbelieved else None
         if start is not None and before is not None:
             if self._rises(before, start):
@@ -249,21 +249,48 @@ class MotionGuard:
             start = min(start, before, key=self._rising_part)
 
         def rising(sample: Wrench) -> None:
+            nonlocal start, risen
             force = self._bias.force(sample)
             if sample.fault or self._disbelieved:
                 return
+            if start is not None and sample.time_ns <= began_ns + late_ns:  # of what was before this motion
+                start = max(start, force, key=self._rising_part)
             if slow and math.hypot(*force) <= self._limits.force_n:
                 self._believe(sample)
             if start is not None and self._rises(start, force):
-                self._lift_from = start if up else self._lift_from
+                self._lift_from, risen = start if up else self._lift_from, True
                 raise _DoubtError(self.monitor.rise(start, force, up))
 
-        travel = self._stage.travel
+        travel, late_ns = self._stage.travel, round(self._limits.force_latency_s * NS_PER_S)
         speed = min(speed_m_s, travel.top_speed_m_s)
         slow = judged and self._limits.runs_on_m(speed, travel) <= self._limits.overshoot_m
         self._phase = Phase.UP if slow else Phase.LIFT
-        self._run(target, speed, _never, rising, LEAVING)
+        try:
+            self._run(target, speed, _never, rising, LEAVING)
+        except Tripped as e:
+            if not risen or self._disbelieved or start is None:
+                raise
+            raise self._back_out(e, began, start, speed) from e
         self._lift_from = None
+
+    def _back_out(self, stopped: Tripped, began: Position, start: Force, speed_m_s: float) -> Tripped:
+        """Go back to where a motion away began, as its repetition would press harder; the error to raise."""
+        now = self._last_force()
+        if now is None or self._rising_part(now) < self._rising_part(start) + RISE_N / 2:
+            return stopped  # what pressed is gone
+
+        def worse(sample: Wrench) -> None:
+            force = self._bias.force(sample)
+            if not sample.fault and self._rises(now, force):
+                raise _DoubtError(self.monitor.rise(now, force, False))
+
+        slow_m_s = min(speed_m_s, self._limits.fastest_m_s(self._stage.travel))
+        try:
+            self._run(began, slow_m_s, _never, worse, LEAVING)
+            told = "the probe went back to where that motion began"
+        except Tripped as e:
+            told = f"the probe did not go back: {e}"
+        return Tripped(stopped.reason, f"{stopped}; {told}", stopped.numbers)
 
     def look(self, asks: tuple[OperatorCommand, ...] = AT_ONCE, *, judged: bool = True) -> list[Wrench]:
         """Take in and publish what the sensor measured since, and raise on what must stop a motion."""

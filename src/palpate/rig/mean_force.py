@@ -6,8 +6,9 @@ import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
-from palpate.core import NS_PER_S, Clock, DeviceError, ForceSensor, Wrench
+from palpate.core import NS_PER_S, Clock, DeviceError, ForceSensor, Stage, Wrench
 from palpate.devices import Guard, Mounting, Reason, Tripped
 from palpate.devices.device_proxies import PlainForceSource
 from palpate.devices.force_bias import Force, ForceBias
@@ -53,6 +54,32 @@ class AirForce:
     def error_n(self) -> float:
         """Standard deviation of the mean along the press [N]."""
         return self.noise_n / math.sqrt(self.samples)
+
+
+class Hand(NamedTuple):
+    """What a motion by hand needs: a stage, the force sensor that guards it, its mounting, and time."""
+
+    stage: Stage
+    force: ForceSensor
+    mounting: Mounting
+    clock: Clock
+
+    def felt(self) -> AirForce:
+        """Mean of fresh samples in the skin's axes, at a stand."""
+        return mean_force(self.force, self.mounting, self.clock)
+
+    def felt_raw(self) -> AirForce:
+        """The same in the sensor's own axes."""
+        return mean_force(self.force, Mounting(), self.clock)
+
+    def distrust_position(self) -> None:
+        """Let nothing move by its stored position until a person has looked: it stands in contact."""
+        if callable(forget := getattr(self.stage, "forget_position", None)):
+            forget("the probe could not be moved back out of contact; lift it by hand and look why")
+
+    def felt_through(self, guard: Guard) -> AirForce:
+        """Mean of fresh samples in the skin's axes, taken through a guard."""
+        return guarded_mean(guard, self.force.rate_hz, self.mounting)
 
 
 def contact_n(a: AirForce, b: AirForce) -> float:
@@ -161,6 +188,8 @@ def guarded_mean(guard: Guard, rate_hz: float, mounting: Mounting, wait_s: float
 
     guard.look(judged=False)  # older samples belong to another position
     samples = listen(max(wait_s, 1.5 * MIN_SAMPLES / rate_hz))
+    if len(samples) < MIN_SAMPLES:  # on a busy computer
+        samples += listen(STALE_S)
     return _mean_of(samples, listen, rate_hz, mounting)
 
 

@@ -130,9 +130,12 @@ class PressMotion:
     def _search(self, target: Position, step_m: float | None, speed_m_s: float) -> None:
         """Move, and end on any contact."""
         felt = ForceReached(max(self._plan.threshold_N, 1.5 * SIGMAS * self._bias.noise_n), any_way=True)
+        x, y, _ = self._guard.position_m()
         if self._guard.towards(target, speed_m_s, felt, step_m):
             above_mm = (self._clearance_m - self._guard.position_m()[2]) / MM
             self._rise(HIGHER_MM)  # the clearance may lie in the skin
+            # Aside too: with two axes exchanged that is the way out.
+            self._guard.away((x, y, self._guard.position_m()[2]), self._plan.seek_mm_s * MM)
             raise Tripped(
                 Reason.TOUCHED_EARLY,
                 f"the probe met something on its way to a place, {above_mm:.2f} mm above the clearance: the "

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from palpate.core import NS_PER_S, ForceSensor, FrameSource, PalpateError, Wrench
+from palpate.core import NS_PER_S, ForceSensor, FrameSource, PalpateError, Position, Wrench
 from palpate.devices.check import check_camera, check_force_sensor, check_stage
 from palpate.devices.check.interface_check import (
     CheckResult,
@@ -23,6 +23,7 @@ from palpate.devices.check.interface_check import (
 )
 from palpate.devices.check.stage_motion import Box, UnsafeError
 from palpate.devices.supervisor.owning_process import FIFO, probe_realtime
+from palpate.rig.commissioning.hand_motion import move_watched
 from palpate.rig.plans.plan_files import plan_of_sensor
 from palpate.rig.plans.recording_plan import RecordingPlan
 from palpate.rig.preflight import notes_of
@@ -204,13 +205,24 @@ def _stage(rig: Rig, clear_m: float, sensed: bool, time_scale: float) -> Part:
         time_scale=time_scale,
         close=False,
     )
+    told = _go_back(rig, at, speed, watch.most_n) if watch.most_n > PUSHED_N else ""
     yield at_most(
         "touched-nothing",
         watch.most_n,
         PUSHED_N,
         "N",
-        "the force changed while the probe should have hung in free air",
+        f"the force changed while the probe should have hung in free air; {told}",
     )
+
+
+def _go_back(rig: Rig, start: Position, speed_m_s: float, felt_n: float) -> str:
+    """Return to where the check began, so that repeating it presses no harder; what came of it."""
+    force_n = rig.force.latest().force_n
+    try:
+        rose = move_watched(rig.stage, rig.force, rig.clock, start, speed_m_s, force_n, felt_n + PUSHED_N)
+    except PalpateError as e:
+        return f"the stage did not go back to where it began: {e}"
+    return f"the stage {'stopped on its way' if rose else 'went'} back to where it began"
 
 
 def _box(rig: Rig, highest_z: float) -> Box:

@@ -464,7 +464,8 @@ def zero(rig: RigName, position: PositionSource = None) -> None:
 
     Example: palpate rig zero bench.toml
     """
-    from palpate.rig.commissioning.hand_motion import Hand, zero as zero_force
+    from palpate.rig.commissioning.hand_motion import zero as zero_force
+    from palpate.rig.mean_force import Hand
 
     with stopped_by_signals(), opened_at(position, lambda source: _placed_bench(rig, source)) as bench:
         found = zero_force(

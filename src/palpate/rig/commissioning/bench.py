@@ -29,8 +29,8 @@ from palpate.devices import Limits, Mounting
 from palpate.devices.check.interface_check import Role
 from palpate.devices.rpc import find, hold, supervisor_name
 from palpate.devices.rpc_client import RpcClient
-from palpate.rig.commissioning.hand_motion import Hand, touch_off
-from palpate.rig.mean_force import discard
+from palpate.rig.commissioning.hand_motion import touch_off
+from palpate.rig.mean_force import Hand, discard
 from palpate.rig.real.device_hold import DeviceHeldError
 from palpate.rig.rig_file import (
     FollowingPart,

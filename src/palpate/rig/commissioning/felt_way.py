@@ -12,12 +12,16 @@ from collections.abc import Sequence
 from palpate.core import Position, Wrench
 from palpate.devices import Reason, Tripped
 from palpate.devices.motion_guard import MotionGuard
+from palpate.rig.mean_force import AirForce, Hand, contact_n
 
 ONSET_N, ONSET_SIGMAS = 0.1, 20.0  # change of force that is contact for certain
 AIR_SHARE = 0.25  # of that change, below which the probe was still in the air
 GROWTH = 1.25  # least factor by which the force rises while the depth doubles
 LEAST_M = 50e-6  # over which no growth is asked for
+PERIODS = 3.0  # of the sensor, over which none is asked for either
 CLEAR_M = 0.1e-3  # of air left between the probe and the contact that ended a way
+FREE_STEP_M = 0.2e-3  # by which it goes on back, where backlash left it in contact
+MAX_BACKLASH_M = 3e-3
 _STANDS = (Reason.STAGE, Reason.STAGE_LATE, Reason.HARDWARE_STOP)  # where nothing more is to be moved
 
 
@@ -39,7 +43,8 @@ class FeltWay:
         palpate.devices.motion_limits.Tripped: the force stayed at 0.80 N ...
     """
 
-    def __init__(self, noise_n: float) -> None:
+    def __init__(self, noise_n: float, least_m: float = LEAST_M) -> None:
+        self._least_m = max(LEAST_M, least_m)
         self._onset_n = max(ONSET_N, ONSET_SIGMAS * noise_n)
         self.began_m = self._level_m = 0.0
         self._level_n = 0.0
@@ -55,7 +60,7 @@ class FeltWay:
         elif force_n >= max(self._onset_n, GROWTH * self._level_n):
             self._level_m, self._level_n = way_m, force_n
         more_m = way_m - self._level_m
-        if self._level_n and more_m > max(LEAST_M, self._level_m - self.began_m):
+        if self._level_n and more_m > max(self._least_m, self._level_m - self.began_m):
             raise Tripped(
                 Reason.FORCE_DEAD,
                 f"the force stayed at {force_n:.2f} N over {more_m * 1e3:.2f} mm in contact: the sensor is "
@@ -63,18 +68,18 @@ class FeltWay:
             )
 
 
-def feel_way(guard: MotionGuard, target: Position, speed_m_s: float, noise_n: float) -> None:
+def feel_way(guard: MotionGuard, target: Position, speed_m_s: float, hand: Hand) -> None:
     """Move from the air to a target; where contact ends that, go back into the air.
 
     Args:
         guard: Zeroed in the air.
-        noise_n: Standard deviation of a force sample [N].
+        hand: What the guard moves and measures with.
 
     Raises:
         Tripped: A limit, or contact; the probe is back in the air unless the message says otherwise.
     """
-    start = guard.position_m()
-    way = FeltWay(noise_n)
+    start, air = guard.position_m(), hand.felt_through(guard)
+    way = FeltWay(air.noise_n, PERIODS * speed_m_s / hand.force.rate_hz)
     peak_n = 0.0
 
     def feel(samples: Sequence[Wrench]) -> None:
@@ -91,15 +96,44 @@ def feel_way(guard: MotionGuard, target: Position, speed_m_s: float, noise_n: fl
             return
         except Tripped as e:
             stopped = e
-    if stopped.reason in _STANDS or not way.began_m < math.dist(start, guard.position_m()):
+    if _stays(stopped) or not way.began_m < math.dist(start, guard.position_m()):
         raise stopped
     share = max(way.began_m - CLEAR_M, 0.0) / math.dist(start, target)
     x, y, z = (a + share * (b - a) for a, b in zip(start, target, strict=True))
-    back_m = math.dist((x, y, z), guard.position_m())
+    ended = guard.position_m()
+    dx, dy, dz = (
+        FREE_STEP_M * (a - b) / math.dist(start, target) for a, b in zip(start, target, strict=True)
+    )
     try:
         guard.away((x, y, z), speed_m_s, judged=False)
+        _leave_contact(guard, (dx, dy, dz), speed_m_s, hand, air)
     except Tripped as e:
-        told = f"{stopped}; the probe did not go back: {e}"
+        hand.distrust_position()
+        told = f"{stopped}; the probe did not go back into the air: {e}"
     else:
+        back_m = math.dist(ended, guard.position_m())
         told = f"{stopped}; the probe went back by {back_m * 1e3:.2f} mm"
     raise Tripped(stopped.reason, told, stopped.numbers) from stopped
+
+
+def _stays(stopped: Tripped) -> bool:
+    """Whether nothing more is to be moved: a stage that stopped late, and knows where, may go back."""
+    return stopped.reason in _STANDS and getattr(stopped.__cause__, "code", "") != "stop-ignored"
+
+
+def _leave_contact(guard: MotionGuard, step: Position, speed_m_s: float, hand: Hand, air: AirForce) -> None:
+    """Go on back in steps, also beyond the start, until the force is that of the air again.
+
+    Where the stage has backlash, it moves before the probe does.
+    """
+    for _ in range(round(MAX_BACKLASH_M / FREE_STEP_M)):
+        now = hand.felt_through(guard)
+        if math.dist(now.force_n, air.force_n) <= contact_n(now, air):
+            return
+        x, y, z = (a + d for a, d in zip(guard.position_m(), step, strict=True))
+        guard.away((x, y, z), speed_m_s, judged=False)
+    raise Tripped(
+        Reason.FORCE_NOISE,
+        f"the force is not that of the air after {MAX_BACKLASH_M * 1e3:g} mm more: the stage does not move "
+        "the probe, or the force sensor drifts; look at the rig before anything else moves",
+    )

@@ -18,22 +18,21 @@ from palpate.core import Clock, ForceSensor, InputError, Position, RangeError, S
 from palpate.devices import Limits, Mounting
 from palpate.devices.force_bias import Force
 from palpate.devices.motion_limits import Reason, Tripped
+from palpate.rig.commissioning.felt_way import feel_way
 from palpate.rig.commissioning.hand_motion import (
     FLAT_M,
     JOG_N,
-    LIFT_SPEED_M_S,
     MAX_JOG_M,
     MAX_JOG_M_S,
-    Hand,
+    SAME_M,
     guard_from_air,
     has_room_to_lift,
-    hop_to,
     lift_clear,
     move_watched,
 )
 from palpate.rig.commissioning.homing import home_clear
 from palpate.rig.commissioning.setup_answers import Answers, Three, three_of
-from palpate.rig.mean_force import AXES, CHANGED_N, PUSH, await_push, mean_force
+from palpate.rig.mean_force import AXES, CHANGED_N, PUSH, Hand, await_push, mean_force
 from palpate.rig.rig_file import RigFile, open_part
 
 MM = 1e3
@@ -159,18 +158,12 @@ def _stepped(at: Position, limits: Limits, axis: str, far_m: float) -> Position:
 
 def _go_above(hand: Hand, limits: Limits, above: Three) -> None:
     """Aside first and then down, stopped by a change of force of 1 N from that of the air."""
-    stage, at = hand.stage, hand.stage.position_m()
-    guard, _ = guard_from_air(hand, limits, JOG_N)
-    speed = min(MAX_JOG_M_S, limits.fastest_m_s(stage.travel))
-    try:
-        for target in ((above[0], above[1], min(at[2], above[2])), above):
-            if any(abs(a - b) > 1e-6 for a, b in zip(stage.position_m(), target, strict=True)):
-                guard.towards(target, speed)
-    except Tripped:  # perhaps in the skin
-        x, y, z = stage.position_m()
-        if z > at[2]:
-            hop_to(stage, hand.clock, (x, y, at[2]), LIFT_SPEED_M_S)
-        raise
+    at = hand.stage.position_m()
+    guard = guard_from_air(hand, limits, JOG_N)
+    speed = min(MAX_JOG_M_S, limits.fastest_m_s(hand.stage.travel))
+    for target in ((above[0], above[1], min(at[2], above[2])), above):
+        if math.dist(guard.position_m(), target) > SAME_M:
+            feel_way(guard, target, speed, hand)
 
 
 def _check_same_axis(pushed_n: Force, axis: str) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 from palpate.core import (
     NS_PER_S,
@@ -30,13 +30,13 @@ from palpate.rig.mean_force import (
     POLL_S,
     SIGMAS,
     AirForce,
+    Hand,
     LiveSamples,
     await_push,
     contact_n,
     discard,
     fresh_samples,
     guarded_mean,
-    mean_force,
 )
 
 STEP_M = 0.2e-3  # of a lift; the force is measured after each
@@ -59,23 +59,6 @@ SEARCH_N = 0.3  # change of force that stops a step of a touch-off on its way
 TOUCH_OFF_LIFT_M = 2e-3  # height above the skin at which a touch-off ends
 AGREE_M = 0.3e-3  # difference of two searches for the skin
 MAX_CHANGE_N = 10.0  # change of force in a lift without limits of the rig
-
-
-class Hand(NamedTuple):
-    """What a motion by hand needs: a stage, the force sensor that guards it, its mounting, and time."""
-
-    stage: Stage
-    force: ForceSensor
-    mounting: Mounting
-    clock: Clock
-
-    def felt(self) -> AirForce:
-        """Mean of fresh samples in the skin's axes, at a stand."""
-        return mean_force(self.force, self.mounting, self.clock)
-
-    def felt_raw(self) -> AirForce:
-        """The same in the sensor's own axes."""
-        return mean_force(self.force, Mounting(), self.clock)
 
 
 @runtime_checkable
@@ -120,7 +103,7 @@ def lift_clear(
             x, y, z = hand.stage.position_m()
             limits.check_target((x, y, z - STEP_M))
         step_m = min(STEP_M, reach_m - lifted_m)
-        retreat(hand, step_m, LIFT_SPEED_M_S, start=start, rise_n=rise_n, most_n=most_n)
+        retreat(hand, step_m, LIFT_SPEED_M_S, start=start, lifted_m=lifted_m, rise_n=rise_n, most_n=most_n)
         lifted_m, flat_m = lifted_m + step_m, flat_m + step_m
         at = hand.felt()
         if math.dist(at.force_n, reference.force_n) > contact_n(at, reference):
@@ -241,8 +224,8 @@ def has_room_to_lift(stage: Stage, limits: Limits) -> bool:
     return stage.position_m()[2] - FLAT_M >= limits.least_m[2]
 
 
-def guard_from_air(hand: Hand, limits: Limits, stop_n: float) -> tuple[MotionGuard, float]:
-    """Return a guard whose zero is the air, with the stage back where it stood, and the noise there [N].
+def guard_from_air(hand: Hand, limits: Limits, stop_n: float) -> MotionGuard:
+    """Return a guard whose zero is the air, with the stage back where it stood.
 
     A guard that is zeroed where the probe stands allows `stop_n` more in each motion: repeated, they would
     press without a bound. At the upper soft limit, where nothing can be lifted, the probe is lowered instead.
@@ -268,8 +251,27 @@ def guard_from_air(hand: Hand, limits: Limits, stop_n: float) -> tuple[MotionGua
     if not room:
         _prove_air_below(hand, guard, limits, slow_m_s)
     if math.dist(stage.position_m(), at) > SAME_M:
-        guard.towards(at, slow_m_s)
-    return guard, seen.noise_n
+        _lower_to(hand, guard, at, slow_m_s)
+    return guard
+
+
+def _lower_to(hand: Hand, guard: MotionGuard, at: Position, speed_m_s: float) -> None:
+    """Undo the lift that proved the air, to the force of the air.
+
+    Raises:
+        Tripped: there is contact where there was none before the lift.
+    """
+    air, higher = hand.felt_through(guard), guard.position_m()
+    feel_way(guard, at, speed_m_s, hand)
+    now = hand.felt_through(guard)
+    if math.dist(now.force_n, air.force_n) > contact_n(now, air):
+        guard.away(higher, speed_m_s, judged=False)
+        hand.distrust_position()
+        raise Tripped(
+            Reason.TOUCHED_EARLY,
+            "the probe touches something where it touched nothing before a lift and back: the stage loses "
+            "steps, or something moved; look at the rig",
+        )
 
 
 def _prove_air_below(hand: Hand, guard: MotionGuard, limits: Limits, speed_m_s: float) -> None:
@@ -336,13 +338,13 @@ def jog(
         found = lift_clear(hand, limits, reach_m=-distance_m, rise_n=stop_n)
         left_m = -distance_m - found.lifted_mm * 1e-3
         if left_m > SAME_M:  # in the air, any change ends it: z may be turned round
-            no_faster_m_s = min(speed_m_s, limits.fastest_m_s(stage.travel))
-            retreat(hand, left_m, no_faster_m_s, start=found, rise_n=stop_n, most_n=stop_n)
+            speed_m_s = min(speed_m_s, limits.fastest_m_s(stage.travel))
+            lifted_m = found.lifted_mm * 1e-3
+            retreat(hand, left_m, speed_m_s, start=found, lifted_m=lifted_m, rise_n=stop_n, most_n=stop_n)
     else:
         limits.check_speed(speed_m_s, stage.travel)  # before anything moves
         hand = Hand(stage, force, mounting, clock)
-        guard, noise_n = guard_from_air(hand, limits, stop_n)
-        feel_way(guard, target, speed_m_s, noise_n)
+        feel_way(guard_from_air(hand, limits, stop_n), target, speed_m_s, hand)
 
 
 def move_watched(
@@ -408,17 +410,21 @@ def retreat(
     speed_m_s: float,
     *,
     start: AirForce | None = None,
+    lifted_m: float = 0.0,
     rise_n: float = RISE_N,
     most_n: float = MAX_CHANGE_N,
 ) -> None:
     """Move away from the skin, and stop where compression rises or the force changes by too much.
 
+    Then it goes back, so that repeating it presses no harder: z may be turned round.
+
     Args:
         start: Force at the start of the whole lift, of which this may be a step, in the skin's axes.
+        lifted_m: Way of that lift before [m].
         rise_n: Allowed rise of compression since then [N].
         most_n: Allowed change of force since then, of any sign: z or the sensor may be turned round [N].
     """
-    stage, start = hand.stage, start or hand.felt()
+    start = start or hand.felt()
     from_n, noise_n = start.force_n, SIGMAS * start.noise_n
     live = LiveSamples(hand.force, hand.clock)
 
@@ -427,14 +433,46 @@ def retreat(
         for one in fresh_samples(hand.force) if math.isinf(most_n) else live.take():
             _check_lift(hand.mounting.to_skin(one.force_n), from_n, rise_n + noise_n, most_n + noise_n)
 
-    x, y, z = stage.position_m() if not isinstance(stage, Homing) else (0.0, 0.0, 0.0)
     count = math.ceil(distance_m / HOP_M - 1e-6)
-    for k in range(1, count + 1):
-        if isinstance(stage, Homing):
-            stage.retreat(distance_m / count, speed_m_s)
-        else:
-            stage.move_to((x, y, z - distance_m * k / count), speed_m_s)
-        _await(stage, hand.clock, distance_m / count / speed_m_s, look)
+    try:
+        for _ in range(count):
+            lifted_m += distance_m / count
+            _shift(hand, -distance_m / count, speed_m_s, look)
+    except Tripped as e:
+        if e.reason is not Reason.FORCE_LIMIT:
+            raise
+        told = _go_back(hand, lifted_m, start, began_in_air=most_n <= rise_n)
+        raise Tripped(e.reason, f"{e}{told}", e.numbers) from e
+
+
+def _shift(hand: Hand, by_m: float, speed_m_s: float, look: Callable[[], None]) -> None:
+    """Move along z, also before the stage's place is known."""
+    stage = hand.stage
+    if not isinstance(stage, Homing):
+        x, y, z = stage.position_m()
+        stage.move_to((x, y, z + by_m), speed_m_s)
+    elif by_m > 0:
+        stage.approach(by_m, speed_m_s)
+    else:
+        stage.retreat(-by_m, speed_m_s)
+    _await(stage, hand.clock, by_m / speed_m_s, look)
+
+
+def _go_back(hand: Hand, lifted_m: float, start: AirForce, *, began_in_air: bool) -> str:
+    """Undo a lift that pressed, in steps, until the force is that of its start; what came of it."""
+    before = now = hand.felt()
+    if not began_in_air and now.force_n[2] < start.force_n[2]:
+        return ""  # it left a skin that was pressed
+    back_m, left_n = 0.0, math.inf
+    while math.dist(now.force_n, start.force_n) > contact_n(now, start) and back_m < lifted_m:
+        if math.dist(now.force_n, start.force_n) > left_n + contact_n(now, before):
+            hand.distrust_position()
+            return f"; the force did not fall on {back_m * 1e3:.2f} mm of the way back: look at the rig"
+        left_n = math.dist(now.force_n, start.force_n)
+        _shift(hand, SEARCH_STEP_M, SEARCH_SPEED_M_S, lambda: None)
+        back_m += SEARCH_STEP_M
+        now = hand.felt()
+    return f"; the probe went back by {back_m * 1e3:.2f} mm"
 
 
 def hop_to(stage: Stage, clock: Clock, target: Position, speed_m_s: float) -> None:

@@ -10,8 +10,8 @@ from dataclasses import replace
 from palpate.core import Clock, DeviceError, ForceSensor, Stage
 from palpate.devices import Mounting, Reason, Tripped
 from palpate.devices.force_bias import Force
-from palpate.rig.commissioning.hand_motion import LIFT_SPEED_M_S, RISE_N, Hand, Homing, lift_clear, retreat
-from palpate.rig.mean_force import POLL_S, AirForce, LiveSamples, discard, mean_force
+from palpate.rig.commissioning.hand_motion import LIFT_SPEED_M_S, RISE_N, Homing, lift_clear, retreat
+from palpate.rig.mean_force import POLL_S, AirForce, Hand, LiveSamples, discard, mean_force
 
 HOMING_LIFT_M = 8e-3  # at least, before homing, whatever the force says: a numb sensor reads as air does
 HOMING_N = 1.0  # change of force that ends homing
@@ -66,7 +66,7 @@ def _lift_well_clear(hand: Hand) -> AirForce:
     more_m = HOMING_LIFT_M - found.lifted_mm * 1e-3
     if more_m <= 0:
         return found
-    retreat(hand, more_m, LIFT_SPEED_M_S, start=found, most_n=RISE_N)
+    retreat(hand, more_m, LIFT_SPEED_M_S, start=found, lifted_m=found.lifted_mm * 1e-3, most_n=RISE_N)
     return replace(found, lifted_mm=HOMING_LIFT_M * 1e3)
 
 

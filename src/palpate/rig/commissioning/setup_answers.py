@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import sys
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -75,6 +77,8 @@ class Answers:
             raise InputError(f"the answers do not say {name} ({question}); add a line {name} = ...")
         proposal = self._before.pop(name, proposal)
         shown = "" if proposal is None else f" [{json.dumps(proposal)}]"
+        if name in MOMENTS:
+            _drop_typed()
         while True:
             try:
                 text = self._read(f"{question}{shown}: ").strip()
@@ -146,6 +150,15 @@ class Answers:
         """An answer in words."""
         answer = self.ask(name, question, proposal, words=True)
         return answer if isinstance(answer, str) else json.dumps(answer)
+
+
+def _drop_typed() -> None:
+    """Drop what was typed at a terminal before a question after which the stage may move."""
+    with suppress(ImportError, OSError, ValueError):  # no terminal
+        import termios
+
+        if os.isatty(fd := sys.stdin.fileno()):
+            termios.tcflush(fd, termios.TCIFLUSH)
 
 
 def _value(text: str) -> Any:

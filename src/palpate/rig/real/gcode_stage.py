@@ -174,6 +174,11 @@ class GcodeStage(Closing):
         with self._lock:
             self._go_by(by_m, speed_m_s, halts)
 
+    def forget_position(self, why: str) -> None:
+        """Forget its position, also for later sessions: homing, touch-off, or confirmation gives it anew."""
+        with self._lock:
+            self._lose(why)
+
     def close(self) -> None:
         """Stop, and let go of the port. Closing again does nothing."""
         if self._closed:
@@ -192,6 +197,9 @@ class GcodeStage(Closing):
 
     @abstractmethod
     def stop(self) -> None: ...
+
+    @abstractmethod  # with the lock held
+    def _lose(self, why: str) -> None: ...
 
     @abstractmethod  # with the lock held; `halts` is the link's count when this was asked for
     def _go(self, position_m: Position, speed_m_s: float, halts: int) -> None: ...

@@ -30,8 +30,9 @@ from palpate.core.provenance import Provenance
 from palpate.core.sensor import sensor as sensor_of
 from palpate.devices import Limits, Mounting, SupervisorLink, open_device
 from palpate.devices.device_plugins import check_kind
-from palpate.rig.commissioning.hand_motion import Hand, touch_off
+from palpate.rig.commissioning.hand_motion import touch_off
 from palpate.rig.commissioning.homing import home_clear
+from palpate.rig.mean_force import Hand
 from palpate.rig.rig import VIRTUAL, Region, Rig
 
 if TYPE_CHECKING:

@@ -173,6 +173,9 @@ class GrblStage(GcodeStage):
         with self._lock:
             self._session.bring_to_stand(cancelled=cancelled)
 
+    def _lose(self, why: str) -> None:
+        self._session.lose(why)
+
     def home(self) -> None:
         """Drive to the switches and take the machine's own coordinates from there; returns when done.
 

@@ -19,6 +19,7 @@ _REPORT_MACHINE, _REPORT_PINS = (
 )  # bits of $10; the second is of grblHAL alone, Grbl 1.1 always reports inputs
 
 _MOVES = re.compile(r"=.*?(?:[XYZABC]|G0*(?:[0-3]|28|30|38)(?!\d))")
+AXIS_RATES = 512  # bit 9 of $22 (grblHAL): $190 to $192 hold a homing speed for each axis, and $25 is gone
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +95,7 @@ class GrblMachine:
             reversed_axes=int(_number(settings, 3)),
             homes_down=int(_number(settings, 23)),
             pull_off_mm=_number(settings, 27),
-            homing_mm_min=_number(settings, 25),
+            homing_mm_min=_homing_mm_min(settings),
         )
 
     def homes_into_skin(self, axes: tuple[str, str, str]) -> bool:
@@ -185,6 +186,16 @@ def check_limits(spec: GrblSpec, machine: GrblMachine) -> None:
                 f"limits {least} to {greatest} m of {name} span more than the machine's {b - a:g} m "
                 "($130 to $132); narrow them"
             )
+
+
+def _homing_mm_min(settings: Mapping[int, str]) -> float:
+    if 25 not in settings and int(_number(settings, 22)) & AXIS_RATES:
+        raise DeviceError(
+            f"$22={settings[22]} gives each axis a homing speed of its own, which is not read: subtract "
+            f"{AXIS_RATES} from $22, and set $25 to 500",
+            code="homing-speed",
+        )
+    return _number(settings, 25)
 
 
 def _number(settings: Mapping[int, str], number: int) -> float:

@@ -1,0 +1,167 @@
+"""A command that a fault of the stage ends presses no harder when it is repeated; measured as true depth."""
+
+import math
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.rig.rigs import IDEAL, plan, rig
+
+from palpate.core import PalpateError, Position, Stage
+from palpate.rig import record
+from palpate.rig.commissioning.first_touch import _go_above
+from palpate.rig.commissioning.hand_motion import jog, lift_clear
+from palpate.rig.mean_force import Hand
+from palpate.rig.plans import Listed
+from palpate.rig.rig import Rig
+from palpate.rig.rig_check import check_rig
+
+MM = 1e-3
+START_MM = -0.5
+
+
+class FaultyStage:
+    """A stage whose probe goes elsewhere than it reports, by `true` and `told` about where it was opened."""
+
+    def __init__(self, stage: Stage) -> None:
+        self._stage, self.deepest_m, self.lost = stage, -math.inf, ""
+        self.began = stage.position_m()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stage, name)
+
+    def told(self, at: Position) -> Position:
+        return at
+
+    def true(self, at: Position) -> Position:
+        return at
+
+    def position_m(self) -> Position:
+        at = self._stage.position_m()
+        self.deepest_m = max(self.deepest_m, at[2])
+        return self.told(at)
+
+    def move_to(self, position_m: Position, speed_m_s: float) -> None:
+        self._stage.move_to(self.true(position_m), speed_m_s)
+
+    def moving(self) -> bool:
+        self.position_m()
+        return self._stage.moving()
+
+    def forget_position(self, why: str) -> None:
+        self.lost = why
+
+
+class Reversed(FaultyStage):
+    """Its z runs the other way."""
+
+    def told(self, at: Position) -> Position:
+        return at[0], at[1], 2 * self.began[2] - at[2]
+
+    true = told
+
+
+class Exchanged(FaultyStage):
+    """The plugs of its x and z are exchanged."""
+
+    def told(self, at: Position) -> Position:
+        x0, _, z0 = self.began
+        return x0 + at[2] - z0, at[1], z0 + at[0] - x0
+
+    true = told
+
+
+class Slack(FaultyStage):
+    """Backlash of its z: the probe moves up only after the stage has moved by so much."""
+
+    play_m, up = 1.0 * MM, False
+
+    def told(self, at: Position) -> Position:
+        return at[0], at[1], at[2] - self.play_m * self.up
+
+    def true(self, at: Position) -> Position:
+        x, y, z = self._stage.position_m()
+        self.up = at[2] < self.told((x, y, z))[2]
+        return at[0], at[1], at[2] + self.play_m * self.up
+
+
+class Weak(FaultyStage):
+    """Its motor of z moves down and loses all steps up."""
+
+    lost_m = 0.0
+
+    def told(self, at: Position) -> Position:
+        return at[0], at[1], at[2] - self.lost_m
+
+    def true(self, at: Position) -> Position:
+        self.lost_m = max(self.lost_m, self._stage.position_m()[2] - at[2])
+        return at[0], at[1], at[2] + self.lost_m
+
+
+def jogged(axis: str, mm: float) -> Callable[[Rig, Path], None]:
+    def run(made: Rig, folder: Path) -> None:
+        jog(
+            made.stage, made.force, made.mounting, made.limits, made.clock,
+            axis=axis, distance_m=mm * MM, speed_m_s=2 * MM,
+        )  # fmt: skip
+
+    return run
+
+
+def recorded(made: Rig, folder: Path) -> None:
+    aside = Listed(kind="listed", at_mm=((2.0, 0.0),))
+    record(made, plan(places=aside, clearance_mm=4.0), folder)
+
+
+def checked(made: Rig, folder: Path) -> None:
+    check_rig(made, clear_m=0.1 * MM, close=False)
+
+
+def zeroed(made: Rig, folder: Path) -> None:
+    lift_clear(Hand(made.stage, made.force, made.mounting, made.clock), made.limits)
+
+
+def led_aside(made: Rig, folder: Path) -> None:
+    x, y, z = made.stage.position_m()
+    _go_above(Hand(made.stage, made.force, made.mounting, made.clock), made.limits, (x + 3 * MM, y, z))
+
+
+@pytest.mark.parametrize(
+    ("fault", "command"),
+    [
+        (Reversed, recorded),
+        (Reversed, checked),
+        (Reversed, zeroed),
+        (Reversed, jogged("z", -3.0)),
+        (Exchanged, recorded),
+        (Exchanged, checked),
+        (Exchanged, led_aside),
+        (Exchanged, jogged("x", 3.0)),
+        (Slack, jogged("z", 3.0)),
+        (Weak, jogged("z", 3.0)),
+        (Weak, jogged("x", 3.0)),
+    ],
+    ids=lambda one: getattr(one, "__qualname__", str(one)).split(".")[0],
+)
+def test_a_repeated_command_presses_no_harder_than_the_first(
+    tmp_path: Path, fault: type[FaultyStage], command: Callable[[Rig, Path], None]
+) -> None:
+    made = rig(variation=IDEAL)
+    made.stage.move_to((0.0, 0.0, START_MM * MM), 5 * MM)
+    while made.stage.moving():
+        made.clock.sleep(0.01)
+    stage = fault(made.stage)
+    deepest_mm = []
+    for k in range(5):
+        if stage.lost:  # its position is not taken from the last session
+            break
+        stage.deepest_m = -math.inf
+        with suppress(PalpateError):
+            command(replace(made, stage=stage), tmp_path / f"run{k}")
+        deepest_mm.append(stage.deepest_m / MM)
+    assert max(deepest_mm) < 1.0
+    assert max(deepest_mm) > 0.0, "the fault leads into the skin"
+    assert max(deepest_mm[2:], default=0.0) < max(deepest_mm[:2]) + 0.05
