@@ -155,7 +155,7 @@ def test_a_repeated_command_presses_no_harder_than_the_first(
         made.clock.sleep(0.01)
     stage = fault(made.stage)
     deepest_mm = []
-    for k in range(5):
+    for k in range(8):
         if stage.lost:  # its position is not taken from the last session
             break
         stage.deepest_m = -math.inf
@@ -164,4 +164,4 @@ def test_a_repeated_command_presses_no_harder_than_the_first(
         deepest_mm.append(stage.deepest_m / MM)
     assert max(deepest_mm) < 1.0
     assert max(deepest_mm) > 0.0, "the fault leads into the skin"
-    assert max(deepest_mm[2:], default=0.0) < max(deepest_mm[:2]) + 0.05
+    assert max(deepest_mm[2:], default=0.0) < max(deepest_mm[:2]) + 0.15

@@ -137,6 +137,7 @@ class MotionGuard:
         self._stoppable: tuple[OperatorCommand, ...] = ()  # what may stop the move that is under way
         self._age_s = 0.0  # of the sample that `fresh` handed out last
         self._left: Position | None = None  # where it stood after the last move that arrived
+        self._risen_from: Force | None = None  # force at the start of the last motion away, where it rose [N]
         self._lift_from: Force | None = None  # force at the start of a lift that a rise has stopped [N]
 
     @property
@@ -240,38 +241,47 @@ class MotionGuard:
         nothing is pressed. Where the force rises, since z may be reversed, it goes back to where it began.
         """
         self._limits.check_target(target)
-        began, began_ns, risen = self.position_m(), self._clock.now_ns(), False
-        start, up = self._last_force(), target[2] < began[2] - LEVEL_M
-        before = self._lift_from if up and not self._disbelieved else None
-        if start is not None and before is not None:
-            if self._rises(before, start):
-                raise self._named(self.monitor.rise(before, start, up))
-            start = min(start, before, key=self._rising_part)
+        began, travel = self.position_m(), self._stage.travel
+        up = target[2] < began[2] - LEVEL_M
+        speed = min(speed_m_s, travel.top_speed_m_s)
+        slow = judged and self._limits.runs_on_m(speed, travel) <= self._limits.overshoot_m
+        self._phase, self._risen_from = Phase.UP if slow else Phase.LIFT, None
+        try:
+            self._run(target, speed, _never, self._rise_check(self._lift_start(up), up, slow), LEAVING)
+        except Tripped as e:
+            if self._risen_from is None or self._disbelieved:
+                raise
+            raise self._back_out(e, began, self._risen_from, speed) from e
+        self._lift_from = None
 
-        def rising(sample: Wrench) -> None:
-            nonlocal start, risen
+    def _rise_check(self, start: Force | None, up: bool, slow: bool) -> Check:
+        """Check of a motion away: it ends where the force rises from that of its start."""
+        old_ns = self._clock.now_ns() + round(self._limits.force_latency_s * NS_PER_S)
+
+        def check(sample: Wrench) -> None:
+            nonlocal start
             force = self._bias.force(sample)
             if sample.fault or self._disbelieved:
                 return
-            if start is not None and sample.time_ns <= began_ns + late_ns:  # of what was before this motion
+            if start is not None and sample.time_ns <= old_ns:  # of what was before this motion
                 start = max(start, force, key=self._rising_part)
             if slow and math.hypot(*force) <= self._limits.force_n:
                 self._believe(sample)
             if start is not None and self._rises(start, force):
-                self._lift_from, risen = start if up else self._lift_from, True
+                self._lift_from, self._risen_from = start if up else self._lift_from, start
                 raise _DoubtError(self.monitor.rise(start, force, up))
 
-        travel, late_ns = self._stage.travel, round(self._limits.force_latency_s * NS_PER_S)
-        speed = min(speed_m_s, travel.top_speed_m_s)
-        slow = judged and self._limits.runs_on_m(speed, travel) <= self._limits.overshoot_m
-        self._phase = Phase.UP if slow else Phase.LIFT
-        try:
-            self._run(target, speed, _never, rising, LEAVING)
-        except Tripped as e:
-            if not risen or self._disbelieved or start is None:
-                raise
-            raise self._back_out(e, began, start, speed) from e
-        self._lift_from = None
+        return check
+
+    def _lift_start(self, up: bool) -> Force | None:
+        """Force at the start of a motion away; after a lift that a rise has stopped, the lower of both."""
+        start = self._last_force()
+        before = self._lift_from if up and not self._disbelieved else None
+        if start is None or before is None:
+            return start
+        if self._rises(before, start):
+            raise self._named(self.monitor.rise(before, start, up))
+        return min(start, before, key=self._rising_part)
 
     def _back_out(self, stopped: Tripped, began: Position, start: Force, speed_m_s: float) -> Tripped:
         """Go back to where a motion away began, as its repetition would press harder; the error to raise."""

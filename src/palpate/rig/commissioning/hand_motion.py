@@ -24,7 +24,7 @@ from palpate.core import (
 from palpate.devices import ForceReached, Limits, Mounting, OperatorControl, Reason, Tripped
 from palpate.devices.force_bias import Force, ForceBias
 from palpate.devices.motion_guard import MotionGuard
-from palpate.rig.commissioning.felt_way import feel_way
+from palpate.rig.commissioning.felt_way import CLEAR_M, feel_way
 from palpate.rig.mean_force import (
     CHANGED_N,
     POLL_S,
@@ -472,7 +472,10 @@ def _go_back(hand: Hand, lifted_m: float, start: AirForce, *, began_in_air: bool
         _shift(hand, SEARCH_STEP_M, SEARCH_SPEED_M_S, lambda: None)
         back_m += SEARCH_STEP_M
         now = hand.felt()
-    return f"; the probe went back by {back_m * 1e3:.2f} mm"
+    more_m = min(CLEAR_M, lifted_m - back_m)  # of air, or each repetition would begin a little deeper
+    if more_m > SAME_M:
+        _shift(hand, more_m, SEARCH_SPEED_M_S, lambda: None)
+    return f"; the probe went back by {(back_m + max(more_m, 0.0)) * 1e3:.2f} mm"
 
 
 def hop_to(stage: Stage, clock: Clock, target: Position, speed_m_s: float) -> None:
