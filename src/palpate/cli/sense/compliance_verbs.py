@@ -289,7 +289,6 @@ def _text(record: dict[str, Any]) -> str:
         lines.append(
             f"{'untouched pins, A_c0':22}{record['untouched_area_mm2']:9.4g} mm²     through the lens"
         )
-    lines.append(_shape(record["contact_shape"]))
     lines += [f"flag: {flag}" for flag in dict.fromkeys([*common, *record["flags"]])]
     if readings:
         drift = readings[0]["drift"]
@@ -315,21 +314,6 @@ def _reading(one: dict[str, Any], common: list[str]) -> str:
     verdict = "valid" if one["valid"] else f"NOT VALID: {own}" if own else "NOT VALID, see flag"
     unit = SYMBOLS.get(one["unit"], one["unit"])
     return f"{NAMES[one['quantity']]:22}{value:>9} {unit:7} ({ends}, 90 %)  {verdict}"
-
-
-def _shape(shape: dict[str, Any]) -> str:
-    ellipse, flat = shape["ellipse"], shape["flattening"]
-    told = []
-    if "half_axes_px" in ellipse:
-        long, short = ellipse["half_axes_px"]
-        told.append(f"half axes {long:.3g} and {short:.3g} px, {ellipse['visible_share']:.0%} of it in sight")
-    else:
-        told.append(f"no ellipse: {ellipse['why_not']}")
-    if "over_rigid" in flat:
-        told.append(
-            f"flattened {flat['over_rigid']:.2f} times as by a rigid plate, at {flat['force_N']:.3g} N"
-        )
-    return f"{'ring of the contact':22}{'; '.join(told)}"
 
 
 def _ends(low: float | None, high: float | None) -> str:
