@@ -14,17 +14,12 @@ From coarse to fine, the weight of smoothness is 0.1 here. Plain Horn-Schunck se
 from the first frame), and dense inverse search drifts as its steps are summed (0.70).
 """
 
-from functools import partial
-
 import cv2
 import numpy as np
 import pytest
 
 from palpate.estimators.flow.horn_schunck import (
-    CoarseToFine,
-    HornSchunck,
     along,
-    coarse_to_fine,
     dis,
     divergence,
     flow,
@@ -35,16 +30,10 @@ from palpate.recordings.exchange.press_table import read_press_table
 STILL = 10  # frames before the press that set force to zero
 SPECKLE_PX = 15.0  # over which brightness varies on the speckle
 CONTACT_N = 1.5  # above what the force drifts before the press
-SMOOTHER = CoarseToFine(HornSchunck(alpha=0.1, iterations=40))
 FIRST, SUMMED = "from the first frame", "summed from frame to frame"
-METHODS = [  # and what each can: small steps, large ones, or both
+METHODS = [  # and what each can: small steps, or large ones
     pytest.param((flow, (SUMMED,)), id="horn-schunck"),
     pytest.param((dis, (FIRST,)), id="dis", marks=pytest.mark.slow),
-    pytest.param(
-        (partial(coarse_to_fine, settings=SMOOTHER), (FIRST, SUMMED)),
-        id="coarse-to-fine",
-        marks=pytest.mark.slow,
-    ),
 ]
 
 
