@@ -33,7 +33,6 @@ from palpate.core.reading import SEPARATOR, ReasonCode, Refusal, joined
 from palpate.estimators.compliance.contact_area import AreaFit
 from palpate.estimators.compliance.hertz_inversion import PressCurves, ShapeSurface, invert_hertz
 from palpate.estimators.compliance.pin_press import PinPress, at_forces, motion_on_layout
-from palpate.estimators.compliance.spread_rate import spread
 from palpate.estimators.compliance.stiffness_curve import SoftnessCurve, softness
 
 COVERAGE = 0.9
@@ -372,35 +371,18 @@ class _PressReader:
         ends = (float(value[0]), float(value[1]), float(value[2]))
         return self.reading("area_at_4_N", ends, "m2", range_, self._between(fit.spread))
 
-    def rate(self, courses: Sequence[AreaCourse]) -> Reading:
-        """dA/dF against known ones; without these its relative error is taken for at most the areas'."""
+    def rate(self, courses: Sequence[AreaCourse]) -> Reading | None:
+        """dA/dF against known ones; None where two references know it."""
         if (fit := self.calibration.rate) is None:
-            value, range_ = self._rate_as_areas(courses)
-        else:
-            rates = np.array([rate_by_areas(one.force_n, one.area_m2[:, 0]) for one in courses])
-            if not (rates > 0).all():
-                raise InputError(
-                    "the areas of a press do not grow with force; are table and frames of one press?"
-                )
-            value, range_ = fit.of(rates, COVERAGE), fit.known
-        return self.reading("spread_rate", value, "m2_per_N", range_, self._between(self._fit.spread))
+            return None
+        rates = np.array([rate_by_areas(one.force_n, one.area_m2[:, 0]) for one in courses])
+        if not (rates > 0).all():
+            raise InputError("areas of a press do not grow with force; are table and frames of one press?")
+        value = fit.of(rates, COVERAGE)
+        return self.reading("spread_rate", value, "m2_per_N", fit.known, self._between(self._fit.spread))
 
     def _between(self, error: float) -> list[Refusal]:
         return [] if np.isfinite(error) else [Refusal(ReasonCode.TWO_REFERENCES, NO_BETWEEN)]
-
-    def _rate_as_areas(
-        self, courses: Sequence[AreaCourse]
-    ) -> tuple[tuple[float, float, float], tuple[float, float]]:
-        """Rate with the areas' relative error, and its range."""
-        levels = self.calibration.levels_n
-        rates = []
-        for one in courses:
-            good = (one.force_n >= levels[0]) & (one.force_n <= levels[-1] + 0.5)
-            rates.append(spread(one.force_n[good], one.area_m2[good, 0]).rate_m2_n)
-        rate, relative = float(np.mean(rates)), float(np.expm1(NORMAL * self._fit.spread))
-        low, high = self._fit.range_m2
-        most = float((high - low) / (levels[-1] - levels[0]))
-        return (rate, rate * (1 - relative), rate * (1 + relative)), (0.0, most)
 
     def modulus_and_radius(self, courses: Sequence[AreaCourse]) -> tuple[Reading | None, Reading | None]:
         finger = self.calibration.finger

@@ -36,8 +36,8 @@ from palpate.estimators.surface_strain.ring_detection import (
     stretch_over_noise,
 )
 from palpate.estimators.surface_strain.strain_fields import StrainFields
-from palpate.mechanics.layers.influence import Cells, spread
-from palpate.mechanics.layers.stack import Stack, climb
+from palpate.mechanics.layers.influence import plane_response
+from palpate.mechanics.layers.stack import Stack
 
 Closure = Literal["frictionless", "coulomb", "bonded"]
 Matrix = Float[ndarray, "_ _"]
@@ -120,11 +120,6 @@ class RecoveredTraction:
     unexplained_m: Points
     misfit: float
     closure: str
-
-    @property
-    def friction_used(self) -> float:
-        """Lateral over normal force; the contact slides at Coulomb's coefficient."""
-        return math.hypot(*self.lateral_n) / self.force_n
 
 
 def recover_traction(
@@ -366,23 +361,13 @@ def _seen_motion(knots, at, nodes, tilt, cell, first_load):
 @lru_cache(maxsize=8)
 def _node_motion(stack: Stack, interface: int, spacing: float) -> Float[ndarray, "side side load component"]:
     """Cubic splines of the motion about a node whose load falls to 0 at its neighbors."""
-    waves = spread(Cells(SIDE, SIDE, CELL_M, CELL_M), 0.0)
-    in_plane, across = climb(stack.slabs, stack.below, waves.k)
-    one, other = in_plane[interface], across[interface]
-    CR = one.compliance @ one.transmission / waves.k[:, None, None]
-    cr = (other.compliance @ other.transmission)[:, 0, 0] / waves.k
-    on, c, s = waves.gather, waves.cos, waves.sin
-    along, sideways, coupled, lifted = on(CR[:, 0, 0]), on(cr), on(CR[:, 0, 1]), on(CR[:, 1, 0])
-    xx, yy, zz = c * c * along + s * s * sideways, s * s * along + c * c * sideways, on(CR[:, 1, 1])
-    zz[0, 0] = waves.mean_wave(CR[:, 1, 1])
-    xx[0, 0] = yy[0, 0] = waves.mean_wave((CR[:, 0, 0] + cr) / 2)
-    xy = c * s * (along - sideways)
+    plane = plane_response(stack, interface, SIDE, CELL_M)
     k_x, k_y = fft.rfftfreq(SIDE, CELL_M), fft.fftfreq(SIDE, CELL_M)[:, None]
     hat = (np.sinc(k_x * spacing) * np.sinc(k_y * spacing) * spacing / CELL_M) ** 2
     responses = (
-        (xx, xy, 1j * c * coupled),
-        (xy, yy, 1j * s * coupled),
-        (-1j * c * lifted, -1j * s * lifted, zz),
+        (plane.xx, plane.xy, 1j * plane.pressed_x),
+        (plane.xy, plane.yy, 1j * plane.pressed_y),
+        (-1j * plane.lifted_x, -1j * plane.lifted_y, plane.zz),
     )
     splines = [
         [
