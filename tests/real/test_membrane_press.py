@@ -10,7 +10,7 @@ No frame of a greater force has a part in the choice. It is no area of contact.
 Force is the length of the force vector less its mean over the first ten frames, since the sensor's axes are
 not the press's.
 
-From coarse to fine, the weight of smoothness is 0.1 here. Plain Horn-Schunck sees small steps only (r = 0.76
+Horn-Schunck sees small steps only (r = 0.76
 from the first frame), and dense inverse search drifts as its steps are summed (0.70).
 """
 
