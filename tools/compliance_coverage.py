@@ -171,8 +171,7 @@ def read_presses(
     results = Readings()
     for c in range(calibrations):
         begun = seed + 100_000 * c
-        # the second opinion by the ring enters no interval, and is slow
-        calibration = replace(calibration_of(sensor, tilt_deg, begun), ring=None)
+        calibration = calibration_of(sensor, tilt_deg, begun)
         results.repeated.append(_repeatability(sensor, tilt_deg, calibration, begun + 500))
         for k in range(-(-max(counts.values()) // calibrations)):
             number = begun + 1000 + k

@@ -258,7 +258,7 @@ def covered(some: Sequence[ReadPress], spec: TacTipSpec) -> str:
             f"{name} covered {100 * held:.0f} %, error {100 * np.median(errors):+.1f} % (absolute median "
             f"{100 * np.median(np.abs(errors)):.1f} %)"
         )
-    return "; ".join(parts) + f"; area by the ring, absolute median {100 * ring_error(some):.1f} %"
+    return "; ".join(parts)
 
 
 def budget(seeds: int) -> Iterator[str]:
@@ -297,16 +297,6 @@ def drawn(spec: TacTipSpec, words: str, sizes: Nuisances, number: int) -> tuple[
         raw_n=made.raw_n * (1 + sizes.force_gain * gain) + sizes.force_bias_n * bias,
         position_m=made.position_m + sizes.frame_yield_m_n * frame * made.true_force_n,
     )
-
-
-def ring_error(some: Sequence[ReadPress]) -> float:
-    """Median error of the area by the ring of pins that move outwards most, over 1 to 5 N."""
-    errors = []
-    for one in some:
-        assert one.reading.course is not None
-        good = (one.press.force_n >= 1) & (one.press.force_n <= 5)
-        errors.append(np.abs(one.reading.course.ring_m2[good] / one.true_area_m2[good] - 1))
-    return float(np.nanmedian(np.concatenate(errors)))
 
 
 def levers(seeds: int) -> Iterator[str]:

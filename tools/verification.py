@@ -22,12 +22,11 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from oracles.measured import MEASURED
 
-from oracles import Oracle, contact, creep, layers, light, palm, table, tables
+from oracles import Oracle, contact, layers, light, palm, table, tables
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 ORACLES = {
-    room.__name__.removeprefix("oracles."): room.ORACLES
-    for room in (contact, layers, tables, creep, light, palm)
+    room.__name__.removeprefix("oracles."): room.ORACLES for room in (contact, layers, tables, light, palm)
 }
 HEAD = ("what", "against", "allowed", "found")
 ROUNDING = 1e-14

@@ -88,7 +88,6 @@ def main() -> None:
         "localisation": (lambda i: find_rings(fields[i % 8]), rounds),
         ALL_THREE: (lambda i: find_rings(meter.fields(frames[i % 8])), rounds),
         "spline and strain, marks changed": (lambda i: meter.fields(fewer[i % 40]), min(rounds, 40)),
-        "standard errors of all fields": (lambda i: fields[i % 8].errors(), max(rounds // 20, 3)),
         "edge direction with interval": (lambda i: edge_direction(edges[i % 8]), max(rounds // 20, 3)),
         "traction, frictionless": (lambda i: recover_traction(fields[i % 8], skin), max(rounds // 20, 3)),
     }

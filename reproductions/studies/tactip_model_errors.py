@@ -37,7 +37,7 @@ from palpate_reproductions.tactip.tactip_conditions import (
     true_divergence,
 )
 
-METHODS = ("horn-schunck", "coarse-to-fine", "dis", "tracked")
+METHODS = ("horn-schunck", "dis", "tracked")
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from palpate.calibration.compliance.compliance_calibration import (
     calibrate_compliance,
 )
 from palpate.calibration.compliance.compliance_reading import read_touch
+from palpate.calibration.compliance.press_nuisances import NONE
 from palpate.calibration.compliance.press_verdict import CueMisfit, drift_of, press_reasons
 from palpate.core.errors import CertificateError, ExistsError, InputError, RangeError, StorageError
 from palpate.core.reading import ReasonCode
@@ -72,7 +73,7 @@ def test_contact_areas_come_back(spec, specimens, read) -> None:
 
 
 def test_the_area_of_every_frame_comes_back(given, calibration) -> None:
-    plain = replace(calibration, nuisances=None)
+    plain = replace(calibration, nuisances=NONE)
     for one in given[::3]:
         course = read_touch(plain, [one.trials[0].press]).course
         inside = course.force_n >= 1
@@ -135,7 +136,7 @@ def test_a_few_lost_pins_change_little(calibration, fresh) -> None:
     (press, *_) = fresh["new"]
     moved = press.moved_px.copy()
     moved[4, ::11] = np.nan
-    plain = replace(calibration, nuisances=None)
+    plain = replace(calibration, nuisances=NONE)
     found, whole = (read_touch(plain, [one]) for one in (replace(press, moved_px=moved), press))
     assert_allclose(found.stiffness.value, whole.stiffness.value, rtol=0.02)
     assert_allclose(found.area.value, whole.area.value, rtol=0.02)
@@ -166,7 +167,7 @@ def bare(given) -> ComplianceCalibration:
 
 
 def test_without_areas_or_positions_less_is_told_and_the_rest_is_the_same(bare, given, read, fresh) -> None:
-    assert (bare.motions, bare.area, bare.ring, bare.finger) == (None, None, None, None)
+    assert (bare.motions, bare.area, bare.finger) == (None, None, None)
     found = read_touch(bare, fresh["new"])
     assert (found.area, found.spread_rate, found.modulus, found.radius, found.course) == (None,) * 5
     assert_allclose(found.stiffness.value, read["new"].stiffness.value)

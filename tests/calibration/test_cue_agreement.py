@@ -21,11 +21,6 @@ ALWAYS = "radius"  # invalid for every press of a tip that is no Hertz body
 LAYERS = ("layer:h_mm=3,E_MPa=0.1", "layer:h_mm=8,E_MPa=0.1", "layer:h_mm=3,E_MPa=0.06")
 
 
-@pytest.fixture(scope="module")
-def calibration(calibration):
-    return replace(calibration, ring=None)
-
-
 def press_on(spec, body, seed: int):
     (words,) = specimens_at(spec, {"one": body}).values()
     return ideal(record_press(spec, words, seed)).press

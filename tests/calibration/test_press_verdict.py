@@ -69,8 +69,8 @@ def other_tip(made):
 
 FAULTS = {
     frozen: "frames repeat the one before",
-    late: "ms late against the force",
-    too_much_force: "a force +",
+    late: "as on no reference",
+    too_much_force: "as on no reference",
     off_centre: "off centre",
     bumped: "as on no reference",
     other_tip: "as on no reference",

@@ -63,11 +63,10 @@ def test_the_table_has_one_row_for_every_frame_but_the_first_and_json_says_what_
     assert 1 <= got["fastest_frame"] <= 11
 
 
-@pytest.mark.parametrize("method", ["coarse-to-fine", "dis", "farneback"])
-def test_every_method_finds_the_motion_since_the_first_frame(press, tmp_path, method) -> None:
-    palpate("flow", press, "--out", tmp_path / "out", "--method", method, "--from-first")
+def test_opencvs_method_finds_the_motion_since_the_first_frame(press, tmp_path) -> None:
+    palpate("flow", press, "--out", tmp_path / "out", "--method", "dis", "--from-first")
     speeds = pd.read_csv(tmp_path / "out/flow.csv")["speed_px"]
-    assert speeds.iloc[-1] == pytest.approx(2.2, rel=0.35)  # OpenCV's are rough on so small an image
+    assert speeds.iloc[-1] == pytest.approx(2.2, rel=0.35)  # rough on so small an image
 
 
 def test_the_divergence_is_of_the_region_that_is_given(press, tmp_path) -> None:

@@ -1,5 +1,4 @@
 import json
-import math
 
 import pytest
 from typer.testing import CliRunner
@@ -20,7 +19,6 @@ def found(*words):
 
 SKIN = ("--modulus-kpa", "300", "--poisson", "0.49")
 BALL = ("--radius-mm", "5", *SKIN)
-PRESS = ("ting", "--radius-mm", "5", "--depth-mm", "1", "--equilibrium-kpa", "200")
 
 
 def test_hertz_gives_the_golden_numbers():
@@ -39,7 +37,6 @@ def test_hertz_gives_the_golden_numbers():
         ["sphere", *BALL],
         ["punch", *BALL],
         ["cone", "--half-angle-deg", "70", *SKIN],
-        ["jkr", *BALL, "--adhesion-j-per-m2", "0.05"],
     ],
 )
 def test_a_depth_and_its_force_lead_back_to_each_other(words):
@@ -57,35 +54,12 @@ def test_the_verbs_say_what_the_laws_say():
         sneddon.sphere_force_from_depth(5e-4, 5e-3, 0.3e6, 0.49)
     )
     assert got["half_space_force_N"] < got["force_N"]
-    # the series is for a paraboloid, which is 1 % stiffer than the sphere here, and 1 % low itself
-    assert got["dimitriadis_force_N"] == pytest.approx(got["force_N"], rel=0.02)
-    got = found("jkr", *BALL, "--adhesion-j-per-m2", "0.05", "--force-n", "0")
-    assert got["applies"] is True
-    assert got["pull_off_force_N"] == pytest.approx(-1.5 * math.pi * 0.05 * 5e-3)
-
-
-def test_a_series_out_of_its_range_is_named_and_left_out():
-    got = found("layer", *BALL, "--thickness-mm", "5", "--depth-mm", "0.5")
-    assert got["dimitriadis_force_N"] is None
-    assert "sqrt(R d)/h" in got["dimitriadis_refused"]
-    assert got["force_N"] > got["half_space_force_N"]
-
-
-def test_a_viscoelastic_press_loses_energy():
-    words = [*PRESS, "--poisson", "0.49", "--rise-s", "1", "--fall-s", "1"]
-    lossy = found(*words, "--branch", "100:0.5", "--branch", "50:0.05")
-    assert lossy["loss_mJ"] > 0
-    assert lossy["contact_lost_at_depth_mm"] > 0
-    assert lossy["contact_lost_at_s"] < 2
-    held = found(*words, "--branch", "100:0.5", "--hold-s", "20")
-    # after forty relaxation times only the equilibrium modulus is left
-    assert held["force_before_return_N"] == pytest.approx(1.1770328 * 2 / 3, rel=1e-6)
 
 
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (["hooke", *BALL, "--depth-mm", "1"], "hertz, sphere, punch, cone, layer, jkr, ting"),
+        (["hooke", *BALL, "--depth-mm", "1"], "hertz, sphere, punch, cone, layer"),
         (["hertz", *BALL], "either --depth-mm or --force-n"),
         (["hertz", *BALL, "--depth-mm", "1", "--force-n", "1"], "not both"),
         (["hertz", *BALL, "--depth-mm", "2"], "a/R <= 0.5"),
@@ -99,9 +73,6 @@ def test_a_viscoelastic_press_loses_energy():
             ["layer", *BALL, "--thickness-mm", "9", "--depth-mm", "1", "--base", "glued"],
             "'bonded' or 'sliding'",
         ),
-        (["jkr", *BALL, "--adhesion-j-per-m2", "0.05", "--force-n", "-1"], "comes off"),
-        ([*PRESS, "--branch", "100", "--rise-s", "1", "--fall-s", "1"], "MODULUS_KPA:TIME_S"),
-        ([*PRESS, "--branch", "100:1", "--rise-s", "0", "--fall-s", "1"], "--rise-s"),
     ],
 )
 def test_what_cannot_be_worked_out_is_said_in_one_line(words, says):

@@ -5,7 +5,7 @@ from numpy.testing import assert_allclose
 from tests.refusals import refused
 
 from palpate.core.errors import InputError
-from palpate.estimators.compliance.contact_area import fit_area, fit_motions, ring_measures
+from palpate.estimators.compliance.contact_area import fit_area, fit_motions
 
 
 def log_area(x: np.ndarray) -> np.ndarray:
@@ -73,15 +73,3 @@ def test_motion_along_few_directions_is_told_by_as_many_measures(rng) -> None:
     holes = moved[1].copy()
     holes[:, rng.choice(pins, 8, replace=False)] = np.nan
     assert_allclose(motions.of(holes), motions.of(moved[1]), atol=1e-9)
-
-
-def test_a_ring_is_measured_where_there_is_one() -> None:
-    """Motion r (1 - r^2 / c^2) outwards is greatest at c / sqrt 3; the stretch is twice its slope."""
-    i, j = np.meshgrid(np.arange(-7, 8), np.arange(-7, 8))
-    at = 10.0 * np.stack([i + j / 2, np.sqrt(0.75) * j], axis=-1).reshape(-1, 2)
-    at = at[np.hypot(*at.T) < 71]
-    r2 = (at**2).sum(axis=1, keepdims=True)
-    flattened = 0.1 * at * (1 - r2 / 80.0**2)
-    found = ring_measures(at, np.stack([flattened, 0.1 * at, np.full_like(at, np.nan)])[:2])
-    assert_allclose(np.exp(found[0]), [80 / np.sqrt(3), 0.2], rtol=0.01)
-    assert np.isnan(found[1]).all()  # it grows to the field's edge

@@ -75,18 +75,6 @@ def test_one_missing_mark_is_bridged_and_two_neighbours_leave_their_square_out()
     assert (at <= np.array([5, 4]) + 1e-9).all()
 
 
-@pytest.mark.parametrize(("degree", "apart"), [(1, 1.0), (3, 2.0)])
-def test_covariance_is_that_of_the_operators(degree, apart):
-    cells = np.delete(lattice(), [11, 30], axis=0)
-    basis = surface_basis(cells, degree, (6, 5), cells_per_knot=apart)
-    variance = np.random.default_rng(0).uniform(0.5, 2.0, len(cells))
-    unit = np.stack([basis.net(np.column_stack([row, row])) for row in np.eye(len(cells))])
-    for one, other in (("value", "value"), ("u", "v"), ("u", "u")):
-        A, B = (np.stack([basis.sampled(net, op)[0] for net in unit]) for op in (one, other))
-        expected = np.einsum("nji,n,nji->ji", A, variance, B)
-        np.testing.assert_allclose(basis.covariance(one, other, variance), expected, atol=1e-8)
-
-
 def test_what_is_no_surface_is_refused():
     cells = lattice()
     with pytest.raises(InputError, match="degree"):

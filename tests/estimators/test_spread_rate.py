@@ -9,7 +9,6 @@ from palpate.core.errors import InputError, RangeError
 from palpate.estimators.compliance.spread_rate import (
     area_m2,
     paper_spread,
-    refuse_literal,
     spread,
     summed_slopes,
 )
@@ -56,11 +55,6 @@ def test_paper_mode_doubles_at_half_the_speed_and_says_so() -> None:
     assert_allclose(paper(80) / paper(40), 2, rtol=0.05)
     steps_without_force = np.array([0.5, 0.5, 1.0, 1.0])
     assert np.isfinite(paper_spread(steps_without_force, np.full(4, 0.01), 7e-4).rate_m2_n)
-
-
-def test_the_letter_of_the_report_is_refused_with_what_it_comes_to() -> None:
-    with refused("equation-overflow", InputError):
-        refuse_literal(np.array([5.0]), np.array([1e-3]), 90_000)
 
 
 def test_what_has_no_spread_rate_is_refused() -> None:

@@ -7,7 +7,7 @@ from tests.refusals import refused
 import palpate
 from palpate.core import InputError, Pose, RangeError
 from palpate.estimators.lattice import ControlPoints
-from palpate.estimators.surface_strain import StrainMeter, on_plane, strain_fields
+from palpate.estimators.surface_strain import on_plane, strain_fields
 
 PITCH = 2.4e-3
 H = np.array([[0.03, 0.011], [-0.004, -0.02]])
@@ -43,7 +43,6 @@ def test_an_imposed_affine_strain_comes_back(degree):
     np.testing.assert_allclose(fields.shear[seen], 0.007, atol=1e-5)
     np.testing.assert_allclose(fields.area_strain[seen], 0.01, atol=1e-5)
     np.testing.assert_allclose(fields.rotation_rad[seen], -0.0075, atol=1e-5)
-    np.testing.assert_allclose(fields.area_ratio[seen], np.linalg.det(np.eye(2) + H), atol=1e-5)
     values, vectors = np.linalg.eigh((H + H.T) / 2)
     principal = fields.principal()
     np.testing.assert_allclose(principal.greatest[seen], values[1], atol=1e-5)
@@ -52,42 +51,6 @@ def test_an_imposed_affine_strain_comes_back(degree):
         principal.direction_rad[seen], np.arctan(vectors[1, 1] / vectors[0, 1]), atol=1e-3
     )
     np.testing.assert_allclose(fields.greatest_shear[seen], values[1] - values[0], atol=1e-5)
-
-
-@pytest.mark.parametrize(("degree", "apart"), [pytest.param(1, 1.0, marks=pytest.mark.slow), (3, 1.5)])
-def test_stated_errors_are_those_of_noise_drawn(degree, apart):
-    """Marks drawn 600 times with noise of their stated size, on the reference too."""
-    rng = np.random.default_rng(1)
-    sigma_rest, sigma_now = 0.004e-3, 0.008e-3
-    quiet = rest(10, 8, sigma=sigma_rest)
-    now = moved(quiet, sigma=sigma_now)
-    samples = (7, 6)
-    drawn = {
-        name: [] for name in ("shear", "area_strain", "rotation_rad", "greatest", "least", "direction_rad")
-    }
-    for _ in range(600):
-        noisy = [
-            ControlPoints(
-                p.cells, p.places + rng.normal(size=p.places.shape) * p.sigma[:, None], p.sigma, "m"
-            )
-            for p in (quiet, now)
-        ]
-        fields = StrainMeter(noisy[0], degree, samples, apart).fields(noisy[1])
-        for name, values in {
-            **fields.principal()._asdict(),
-            **{n: getattr(fields, n) for n in list(drawn)[:3]},
-        }.items():
-            drawn[name].append(values)
-    fields = StrainMeter(quiet, degree, samples, apart).fields(now)
-    stated = fields.errors()
-    clear = fields.greatest_shear > 6 * stated.shear  # where a principal direction stands out of the noise
-    assert clear.sum() > 12
-    for name, values in drawn.items():
-        linear = name in ("shear", "area_strain", "rotation_rad")
-        ratio = (np.std(values, axis=0) / getattr(stated, name))[clear | linear]
-        assert abs(np.median(ratio) - 1) < 0.03, name
-        assert ratio.min() > 0.85, name
-        assert ratio.max() < 1.15, name
 
 
 def test_affine_strain_through_the_fisheye_comes_back_to_one_in_a_thousand():
@@ -104,8 +67,6 @@ def test_affine_strain_through_the_fisheye_comes_back_to_one_in_a_thousand():
         )
     fields = strain_fields(*seen, samples=(39, 29))
     np.testing.assert_allclose(fields.gradient.mean(axis=(2, 3)), H, atol=1e-3)
-    off = (fields.shear - 0.007) / fields.errors().shear
-    assert 0.8 < off.std() < 1.2
     raw = strain_fields(
         *(
             ControlPoints(

@@ -15,17 +15,6 @@ R, E = 5e-3, 0.3e6
 BASES = ("bonded", "sliding")
 
 
-def exact_factor(chi, nu, base):
-    """Force of a sphere so shallow that it is a paraboloid over Hertz's at the same depth."""
-
-    def depth(h):
-        return layer.sphere_from_radius(1e-4, 1.0, h, 1.0, nu, base)[0]
-
-    h = brentq(lambda h: math.sqrt(depth(h)) / h - chi, 1.1e-5, 10.0)
-    d, F = layer.sphere_from_radius(1e-4, 1.0, h, 1.0, nu, base)
-    return F * (1 - nu**2) / (4 / 3 * d**1.5)
-
-
 @pytest.mark.parametrize("base", BASES)
 @pytest.mark.parametrize("nu", [0.0, 0.3, 0.5])
 def test_a_thick_layer_is_a_half_space(nu, base):
@@ -80,24 +69,6 @@ def test_force_and_depth_lead_back_to_each_other(a, base):
     assert layer.sphere_force(d, R, 20e-3, E, 0.49, base) == pytest.approx(F, rel=1e-9)
 
 
-@pytest.mark.parametrize("nu", [0.3, 0.49])
-def test_dimitriadis_first_coefficient_is_the_layers_own(nu):
-    # 2/pi of the integral of 1 - M; the fit over nu is good to 0.6 %
-    own = quad(lambda s: 1 - layer.layer_transfer(np.array([s]), nu)[0], 0, 40, limit=200)[0]
-    slope = (layer.dimitriadis_factor(1e-7, nu) - 1) / 1e-7
-    assert slope == pytest.approx(2 / math.pi * own, rel=6.5e-3)
-
-
-@pytest.mark.parametrize(
-    ("nu", "base", "error"),
-    [(0.5, "bonded", 0.03), (0.3, "sliding", 0.006)],
-)
-def test_dimitriadis_holds_to_its_stated_error_up_to_chi_0_3(nu, base, error):
-    for chi in (0.1, layer.MAX_CHI):
-        exact = exact_factor(chi, nu, base)
-        assert layer.dimitriadis_factor(chi, nu, base) == pytest.approx(exact, rel=error)
-
-
 @pytest.mark.parametrize(
     ("h", "forces"),
     [
@@ -113,24 +84,19 @@ def test_the_force_is_that_of_a_boundary_element_code(h, forces):
         assert found == pytest.approx(wanted, rel=1.2e-3)  # three or four digits are given
 
 
-@pytest.mark.parametrize("law", [layer.sphere_force, layer.dimitriadis_force, layer.punch_force])
 @pytest.mark.parametrize("bad", [-1.0, math.nan])
-def test_what_lies_outside_the_law_is_refused(law, bad):
+def test_what_lies_outside_the_law_is_refused(bad):
     good = (1e-4, R, 1e-2, E, 0.49)
     for i in range(5):
         with pytest.raises(RangeError):
-            law(*good[:i], bad, *good[i + 1 :])
+            layer.sphere_force(*good[:i], bad, *good[i + 1 :])
 
 
 def test_every_range_has_its_name_in_the_refusal():
-    with pytest.raises(RangeError, match="sqrt"):
-        layer.dimitriadis_force(1e-3, R, 6e-3, E, 0.49)
     with refused("strain-limit", RangeError):
         layer.sphere_force(1.1e-3, R, 5e-3, E, 0.49)
     with refused("outside-law", RangeError, match=r"0\.99"):
         layer.sphere_force(14e-3, R, 0.1, E, 0.49)
-    with refused("outside-law", RangeError, match=r"0\.5"):
-        layer.dimitriadis_force(1.3e-3, R, 1e-1, E, 0.49)
     with refused("outside-law", RangeError, match="10"):
         layer.punch_factor(11.0, 0.3)
     with pytest.raises((InputError, TypeError)):

@@ -3,15 +3,28 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.integrate import quad
 
-from palpate.mechanics.axisymmetric.axisymmetric_fem import CreepingPress
+from palpate.core import RangeError
+from palpate.mechanics.axisymmetric.axisymmetric_fem import CreepingPress, Prony
 from palpate.mechanics.half_space.hertz import Body
-from palpate.mechanics.viscoelastic import Prony, ting
 
 SKIN = Prony(0.1e6, (0.08e6, 0.05e6), (0.2, 2.0))
 R, NU, MOST_N = 20e-3, 0.48, 50.0
 PLANE = 1 - NU**2
 STEP_S = 5e-3
+
+
+def relaxation(time_s):
+    """E(t) of the skin [Pa]."""
+    terms = (E * np.exp(-time_s / tau) for E, tau in zip(SKIN.moduli_pa, SKIN.times_s, strict=True))
+    return SKIN.equilibrium_pa + sum(terms)
+
+
+def creep(time_s):
+    """J(t) of the skin [1/Pa]."""
+    weights, rates = SKIN.retardation()
+    return 1 / SKIN.equilibrium_pa - np.exp(-np.asarray(time_s)[..., None] * rates) @ weights
 
 
 def rigid_sphere(force_n: float, modulus_pa: float) -> float:
@@ -33,12 +46,38 @@ def ramp_and_hold(rise_s: float, hold_s: float, depth_m: float = 3e-3) -> tuple[
     return time, depth_m * np.minimum(time / rise_s, 1.0)
 
 
+def test_creep_undoes_relaxation() -> None:
+    """The Laplace transforms of E and J multiply to 1/p^2: int E(t - s) J(s) ds = t."""
+    for t in (0.005, 0.4, 6.0):
+        ends = [t * 0.9, min(0.02, t / 2)]
+        whole = quad(lambda s, t=t: relaxation(t - s) * float(creep(s)), 0, t, points=ends, limit=200)[0]
+        assert_allclose(whole, t, rtol=1e-7)
+    assert_allclose(creep(0.0), 1 / SKIN.instantaneous_pa)
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [(0.0, (), ()), (np.nan, (), ()), (1e5, (1e5,), ()), (1e5, (1e5,), (0.0,)), (1e5, (np.inf,), (1,))],
+)
+def test_a_series_that_is_no_skin_is_refused(bad) -> None:
+    with pytest.raises(RangeError):
+        Prony(*bad)
+
+
 def test_a_rigid_sphere_obeys_tings_law() -> None:
     time, depth = ramp_and_hold(0.5, 0.5)
     force, _ = creeping_press(rigid_sphere, SKIN, MOST_N, depth, STEP_S)
-    by_ting = ting(time, depth, R, SKIN, NU).force_n
-    assert_allclose(force[5:], by_ting[5:], rtol=4e-3)
-    naive = 4 / 3 * np.sqrt(R) / PLANE * SKIN.relaxation(time) * depth**1.5
+    stiffness = 4 / 3 * np.sqrt(R) / PLANE
+    rate = depth[-1] / 0.5
+
+    def by_ting(t):
+        """K int E(t - s) d(d^(3/2)) while the depth rises."""
+        rising = min(t, 0.5)
+        whole = quad(lambda s: relaxation(t - s) * 1.5 * rate * np.sqrt(rate * s), 0, rising, epsrel=1e-10)
+        return stiffness * whole[0]
+
+    assert_allclose(force[5:], [by_ting(t) for t in time[5:]], rtol=4e-3)
+    naive = stiffness * relaxation(time) * depth**1.5
     assert np.abs(naive[5:] / force[5:] - 1).max() > 0.1  # E(t) at the time since touch is another law
 
 
@@ -50,8 +89,7 @@ def test_two_bodies_meet_the_integral_equation_of_both() -> None:
     middle = (time[1:] + time[:-1]) / 2
     for n in (20, 99, len(time) - 1):
         past = middle[:n]
-        creep = SKIN.compliance(time[n] - past) @ steps[:n]
-        both = PLANE * (force[n] / 0.06e6 + creep)
+        both = PLANE * (force[n] / 0.06e6 + creep(time[n] - past) @ steps[:n])
         assert_allclose(both, 4 / 3 * np.sqrt(R) * depth[n] ** 1.5, rtol=1e-3)
 
 

@@ -15,7 +15,6 @@ from palpate.mechanics.fingertip_laws import (
     exponential_fingertip,
     finite_strain_fingertip,
     hertz_fingertip,
-    in_series,
     on_flat,
 )
 from palpate.mechanics.half_space.hertz import Body
@@ -88,24 +87,6 @@ def test_on_a_soft_flat_the_composition_is_near_the_solution_at_finite_strain(na
         solved, made = table.press(flat_pa), on_flat(tip, flat_pa / (1 - table.poisson_ratio**2))
         assert_allclose(made.approach_m(F), solved.at("approach_m", F), rtol=0.05)
         assert_allclose(made.area_m2(F), solved.at("area_m2", F), rtol=0.11)
-
-
-@pytest.mark.parametrize(("ratio", "excess"), [(1.0, 2 ** (1 / 3)), (8.0, 5 / 9 ** (2 / 3)), (1e-6, 1.0)])
-def test_series_of_a_ball_and_a_flat_is_too_soft_by_what_is_said(ratio: float, excess: float) -> None:
-    flat_pa = BALL.modulus_pa / ratio
-    flat = Body(flat_pa, BALL.radius_m)  # under a rigid ball of the finger's radius
-    tip = hertz_fingertip(BALL)
-    F = share(on_flat(tip, flat_pa), 5)
-    added = in_series(tip, lambda force: np.asarray(flat.approach_m(force)), "a flat").approach_m(F)
-    assert_allclose(added / on_flat(tip, flat_pa).approach_m(F), excess, rtol=2e-4)
-
-
-def test_under_a_rigid_plate_displacements_add_and_the_area_is_the_rigid_ones() -> None:
-    tip = exponential()
-    F = share(tip)
-    both = in_series(tip, lambda force: force / 2e3, "a plate on a spring of 2 N/mm")
-    assert_allclose(both.approach_m(F) - tip.approach_m(F), F / 2e3)
-    assert_allclose(both.area_m2(F), tip.area_m2(F))
 
 
 @pytest.mark.parametrize(

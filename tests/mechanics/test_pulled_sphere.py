@@ -21,7 +21,7 @@ from palpate.mechanics.axisymmetric.pulled_sphere import (
     pulled_sphere_table,
 )
 from palpate.mechanics.axisymmetric.shape_table import SphereTable, press_finite_strain
-from palpate.mechanics.half_space.hertz import tangential_displacement, tangential_stiffness
+from palpate.mechanics.half_space.hertz import tangential_stiffness
 
 REPOSITORY = Path(__file__).parents[2]
 FOUND = json.loads((REPOSITORY / "tools/dragged_sphere.json").read_text(encoding="utf-8"))
@@ -79,8 +79,7 @@ def test_a_light_touch_is_cattaneos_and_mindlins() -> None:
     for share in (0.3, 0.6, 0.8, 0.95):
         force = share * press.force
         slack = TABLE.shift_of(press, force, 1.0) * TABLE.stiffness_at(press) / force
-        k = tangential_stiffness(a, 1.0, 0.49)
-        mindlin = tangential_displacement(force, press.force, 1.0, a, 1.0, 0.49) * k / force
+        mindlin = 1.5 / share * (1 - (1 - share) ** (2 / 3))  # Cattaneo and Mindlin
         assert slack == pytest.approx(mindlin, rel=0.03)
 
 

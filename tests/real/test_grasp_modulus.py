@@ -20,7 +20,7 @@ from tests.real.gel_curvature import ImprintRegion, Lamps, bulge
 from tests.real.trial_assignment import assign, nearest
 
 from palpate.core.errors import InputError, RangeError
-from palpate.estimators.compliance.stiffness_curve import Loading, loading, loading_slope
+from palpate.estimators.compliance.stiffness_curve import Loading, loading
 from palpate.recordings.exchange.frame_sequences import VideoFrames
 from palpate.recordings.exchange.press_table import read_press_table
 
@@ -52,6 +52,15 @@ def grasps(real_data):
     if not folder.is_dir():
         pytest.skip(f"no grasps at {folder}")
     return [_read(folder, ball, i) for ball in RUBBER + OTHERS for i in (1, 2, 3)]
+
+
+def loading_slope(grasp: Grasp, *, held: bool) -> float:
+    """Force over closing [N/m]; a width that is held counts once, and at the end of loading."""
+    i = np.arange(grasp.part.first, grasp.part.last + 1)
+    if held:
+        fresh = np.flatnonzero(np.concatenate([[True], np.diff(grasp.width_m) != 0]))
+        i = np.union1d(np.intersect1d(i, fresh), [grasp.part.last])
+    return -float(np.polyfit(grasp.width_m[i], grasp.force_n[i], 1)[0])
 
 
 def _read(folder, ball: str, i: int) -> Grasp:
@@ -120,7 +129,7 @@ def touch(
 
 
 def arm(grasp: Grasp, held: bool = False) -> float:
-    return float(np.log(loading_slope(grasp.force_n, grasp.width_m, grasp.part, held=held)))
+    return float(np.log(loading_slope(grasp, held=held)))
 
 
 def of(grasps, *features) -> np.ndarray:

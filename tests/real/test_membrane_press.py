@@ -10,21 +10,16 @@ No frame of a greater force has a part in the choice. It is no area of contact.
 Force is the length of the force vector less its mean over the first ten frames, since the sensor's axes are
 not the press's.
 
-From coarse to fine, the weight of smoothness is 0.1 here. Plain Horn-Schunck sees small steps only (r = 0.76
+Horn-Schunck sees small steps only (r = 0.76
 from the first frame), and dense inverse search drifts as its steps are summed (0.70).
 """
-
-from functools import partial
 
 import cv2
 import numpy as np
 import pytest
 
 from palpate.estimators.flow.horn_schunck import (
-    CoarseToFine,
-    HornSchunck,
     along,
-    coarse_to_fine,
     dis,
     divergence,
     flow,
@@ -35,16 +30,10 @@ from palpate.recordings.exchange.press_table import read_press_table
 STILL = 10  # frames before the press that set force to zero
 SPECKLE_PX = 15.0  # over which brightness varies on the speckle
 CONTACT_N = 1.5  # above what the force drifts before the press
-SMOOTHER = CoarseToFine(HornSchunck(alpha=0.1, iterations=40))
 FIRST, SUMMED = "from the first frame", "summed from frame to frame"
-METHODS = [  # and what each can: small steps, large ones, or both
+METHODS = [  # and what each can: small steps, or large ones
     pytest.param((flow, (SUMMED,)), id="horn-schunck"),
     pytest.param((dis, (FIRST,)), id="dis", marks=pytest.mark.slow),
-    pytest.param(
-        (partial(coarse_to_fine, settings=SMOOTHER), (FIRST, SUMMED)),
-        id="coarse-to-fine",
-        marks=pytest.mark.slow,
-    ),
 ]
 
 

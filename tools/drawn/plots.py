@@ -15,7 +15,7 @@ from oracles.shortcuts import FARTHEST, baseline
 
 from drawn import RIM, SPEC, H, R, outer_labels, sheet
 from palpate.mechanics.axisymmetric.shape_table import SphereTable, edge_correction, edge_reach
-from palpate.mechanics.layers.bonded_layer import dimitriadis_factor, sphere_force
+from palpate.mechanics.layers.bonded_layer import sphere_force
 from palpate.optics import round_rim
 from palpate.reports.calibration_figures import ACCENT, BAD, BAND, INK
 from palpate.sensors.palm.fringe_orders import edge_on
@@ -173,6 +173,19 @@ def _too_high(offset: float, depth: float) -> float:
     return 100 * (1 / edge_correction(offset, depth / R, H / R).force_ratio - 1)
 
 
+def _dimitriadis(chi: float) -> float:
+    """Force on a bonded layer over Hertz's: the series in sqrt(R d)/h at nu = 0.49.
+
+    E. K. Dimitriadis et al., Biophys. J. 82 (2002) 2798, doi:10.1016/S0006-3495(02)75620-8.
+    """
+    nu, x = 0.49, chi / math.pi
+    alpha = -(1.2876 - 1.4678 * nu + 1.3442 * nu**2) / (1 - nu)
+    beta = (0.6387 - 1.0277 * nu + 1.5164 * nu**2) / (1 - nu)
+    third = alpha**3 + 4 * math.pi**2 / 15 * beta
+    fourth = alpha * (alpha**3 + 3 * math.pi**2 / 5 * beta)
+    return 1 - 2 * alpha * x + 4 * alpha**2 * x**2 - 8 * third * x**3 + 16 * fourth * x**4
+
+
 def forces() -> Figure:
     """Force over depth: the table and what simpler laws give."""
     figure, [[left, right]] = sheet(1, 2, (9.4, 3.6))
@@ -183,7 +196,7 @@ def forces() -> Figure:
     hertz = 4 / 3 / (1 - 0.49**2) * d**1.5
     linear_to = d <= 0.4  # of the layer's thickness a fifth
     linear = np.array([sphere_force(c, 1.0, 2.0, 1.0, 0.49) for c in d[linear_to]])
-    series = hertz * np.array([dimitriadis_factor(math.sqrt(c) / 2, 0.49) for c in d])
+    series = hertz * np.array([_dimitriadis(math.sqrt(c) / 2) for c in d])
     rough = SphereTable.load("sphere-h2-mu05")
     stuck = np.array([rough.at(c).force for c in d])
     for at, force, label, style in (

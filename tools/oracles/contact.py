@@ -9,19 +9,16 @@ import numpy as np
 from mpmath import mp
 from numpy import ndarray
 from scipy.integrate import quad
-from scipy.optimize import brentq, minimize_scalar
+from scipy.optimize import brentq
 from scipy.special import ellipk
 
 from oracles import Oracle, relative
 from palpate.mechanics.half_space import hertz, sneddon
-from palpate.mechanics.half_space.adhesion import AdhesiveSphere
-from palpate.mechanics.half_space.hertz import secondary_stress
-from palpate.mechanics.half_space.subsurface import (
+from palpate.mechanics.half_space.hertz import (
     centreline_stress,
-    cerruti_stress,
     greatest_shear,
-    hertz_stress,
     line_integrated_stress,
+    secondary_stress,
 )
 
 R, E, NU = 5e-3, 0.3e6, 0.49
@@ -76,34 +73,8 @@ def _sneddon(d: float, steepness: Callable[[float], float]) -> float:
     return 2 * E / (1 - NU**2) * quad(g, 0, a, epsabs=0, epsrel=1e-12)[0]
 
 
-def pull_off() -> float:
-    """The least force of a JKR contact over its radius, against -(3/2) pi w R."""
-    w, scale = 0.05, E / (1 - NU**2)
-    least = minimize_scalar(
-        lambda a: 4 * scale * a**3 / (3 * R) - math.sqrt(8 * math.pi * w * scale * a**3),
-        bounds=(1e-5, 1e-3),
-        method="bounded",
-        options={"xatol": 1e-12},
-    )
-    return abs(AdhesiveSphere(w, R, E, NU).pull_off_force_n / least.fun - 1)
-
-
-def below_hertz() -> float:
-    """The stress tensor under a Hertz contact by superposing Boussinesq's point forces."""
-    return max(relative(hertz_stress(*BELOW.T, 1.0, 1.0, nu), _summed(_boussinesq, nu)) for nu in (0.3, 0.5))
-
-
-def below_sliding() -> float:
-    """What sliding adds, by superposing Cerruti's point forces."""
-    errors = []
-    for nu in (0.3, 0.5):
-        added = hertz_stress(*BELOW.T, 1.0, 1.0, nu, 0.5) - hertz_stress(*BELOW.T, 1.0, 1.0, nu)
-        errors.append(relative(added, 0.5 * _summed(lambda x, y, z, n: cerruti_stress(x, y, z, 1.0, n), nu)))
-    return max(errors)
-
-
-def _summed(point_force: Callable[[ndarray, ndarray, ndarray, float], ndarray], nu: float) -> ndarray:
-    """Over Hertz's pressure with a = p0 = 1: Gauss points of the radius sin(t), even angles."""
+def summed_below(places: ndarray, nu: float) -> ndarray:
+    """Stress under Hertz's pressure with a = p0 = 1: Gauss points of the radius sin(t), even angles."""
     t, dt = np.polynomial.legendre.leggauss(80)
     t, dt = np.pi / 4 * (1 + t), np.pi / 4 * dt
     angle = 2 * np.pi * np.arange(160) / 160
@@ -111,8 +82,8 @@ def _summed(point_force: Callable[[ndarray, ndarray, ndarray, float], ndarray], 
     sx, sy = np.sin(t)[:, None] * np.cos(angle), np.sin(t)[:, None] * np.sin(angle)
     return np.stack(
         [
-            np.einsum("ij,ijkl->kl", load, point_force(x - sx, y - sy, np.full(sx.shape, z), nu))
-            for x, y, z in BELOW
+            np.einsum("ij,ijkl->kl", load, _boussinesq(x - sx, y - sy, np.full(sx.shape, z), nu))
+            for x, y, z in places
         ]
     )
 
@@ -133,61 +104,41 @@ def _boussinesq(x: ndarray, y: ndarray, z: ndarray, nu: float) -> ndarray:
 
 
 def on_the_axis() -> float:
-    """The tensor on the axis, and the greatest shear, against Huber's centreline formulas in 30 digits."""
+    """The stress on the axis, and the greatest shear, against Huber's centreline formulas in 30 digits."""
     errors, z = [], np.array([0.1, 0.4, 1.0, 3.0])
     for nu in (0.0, 0.3, 0.49):
-        tensor = hertz_stress(0 * z, 0 * z, z, 1.0, 1.0, nu)
         with mp.workdps(30):
             huber = [
                 -(1 + mp.mpf(nu)) * (1 - v * mp.atan(1 / v)) + 1 / (2 * (1 + v**2)) for v in map(mp.mpf, z)
             ]
-        rr = np.array([float(v) for v in huber])
         along = centreline_stress(z, 1.0, 1.0, nu)
-        errors += [relative(tensor[:, 0, 0], rr), relative(along[0], rr), relative(along[1], -1 / (1 + z**2))]
+        errors += [
+            relative(along[0], np.array([float(v) for v in huber])),
+            relative(along[1], -1 / (1 + z**2)),
+        ]
     digits = {0.3: (0.31002, 0.4808), 0.49: (0.26842, 0.5444), 0.5: (0.26635, 0.5478)}
     rounded = [abs(greatest_shear(nu)[0] - shear) > 5.1e-6 for nu, (shear, _) in digits.items()]
     return max(errors) + float(any(rounded))
 
 
-def two_derivations() -> float:
-    """Stress across the ray at nu = 1/2: the Newtonian potential's form against the full tensor."""
-    rng = np.random.default_rng(1)
-    x, y, z = [*rng.uniform(-3, 3, (2, 300)).tolist(), rng.uniform(0.01, 3, 300).tolist()]
-    tensor = hertz_stress(np.array(x), np.array(y), np.array(z), 1.0, 1.0, 0.5)
-    difference, shear = secondary_stress(np.array(x), np.array(y), np.array(z), 1.0, 1.0)
+def across_the_ray() -> float:
+    """Stress across the ray at nu = 1/2: the Newtonian potential's form against superposed point forces."""
+    tensor = summed_below(BELOW, 0.5)
+    difference, shear = secondary_stress(*BELOW.T, 1.0, 1.0)
     return max(relative(difference, tensor[:, 0, 0] - tensor[:, 2, 2]), relative(shear, 2 * tensor[:, 0, 2]))
 
 
+def _across(y: float, x: float, z: float, part: int) -> float:
+    return float(secondary_stress(x, y, z, 1.0, 1.0)[part])
+
+
 def line_integral() -> float:
-    """The 3-D stress summed along the ray, at three of Poisson's ratios, against the plane-strain form."""
+    """The 3-D stress summed along the ray against the plane-strain form."""
     errors = []
-    for nu in (0.0, 0.3, 0.5):
-        for x, z in ((0.0, 0.66), (0.7, 0.4), (2.0, 1.0)):
-            summed = np.array(
-                [_along(lambda s: s[0, 0] - s[2, 2], x, z, nu), _along(lambda s: 2 * s[0, 2], x, z, nu)]
-            )
-            errors.append(relative(summed, np.array(line_integrated_stress(x, z, 1.0, 1.0))))
+    for x, z in ((0.0, 0.66), (0.7, 0.4), (2.0, 1.0)):
+        parts = [quad(_across, -np.inf, np.inf, args=(x, z, part), limit=400)[0] for part in (0, 1)]
+        errors.append(relative(np.array(parts), np.array(line_integrated_stress(x, z, 1.0, 1.0))))
     return max(errors)
-
-
-def _along(part: Callable[[ndarray], float], x: float, z: float, nu: float) -> float:
-    scale = math.hypot(x, z) + 1
-
-    def turned(angle: float) -> float:
-        return float(part(_at(x, scale * math.tan(angle), z, nu))) * scale / math.cos(angle) ** 2
-
-    return 2 * quad(turned, 0, math.pi / 2 - 1e-5, limit=200)[0] + _rest(part, scale, x, z, nu)
-
-
-def _at(x: float, y: float, z: float, nu: float) -> ndarray:
-    """The tensor at one place."""
-    return np.asarray(hertz_stress(*np.array([[x], [y], [z]]), 1.0, 1.0, nu)[0])
-
-
-def _rest(part: Callable[[ndarray], float], scale: float, x: float, z: float, nu: float) -> float:
-    """Beyond the last angle the stress falls as 1 / y^2."""
-    y = scale * math.tan(math.pi / 2 - 1e-5)
-    return 2 * float(part(_at(x, 1e3, z, nu))) * 1e6 / y
 
 
 ORACLES = (
@@ -199,17 +150,12 @@ ORACLES = (
         hertz_surface,
     ),
     Oracle("Sphere, cone, punch: force", "Sneddon's integral by quadrature", 1e-8, sneddon_shapes),
-    Oracle("JKR: pull-off force", "the least force over all radii", 1e-8, pull_off),
-    Oracle("Stress below a ball, all six components", "superposed Boussinesq forces", 1e-7, below_hertz),
-    Oracle("Stress below a sliding ball", "superposed Cerruti forces", 1e-7, below_sliding),
     Oracle(
         "Stress on the axis, greatest shear",
         "Huber's centreline formulas, 30 digits (mpmath)",
         1e-10,
         on_the_axis,
     ),
-    Oracle("Stress that a ray sees, nu = 1/2", "the full tensor, another derivation", 1e-9, two_derivations),
-    Oracle(
-        "Stress summed along a ray, nu = 0, 0.3, 0.5", "quadrature of the full tensor", 1e-6, line_integral
-    ),
+    Oracle("Stress that a ray sees, nu = 1/2", "superposed Boussinesq forces", 1e-7, across_the_ray),
+    Oracle("Stress summed along a ray", "quadrature of that stress", 1e-6, line_integral),
 )

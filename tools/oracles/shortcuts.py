@@ -20,7 +20,6 @@ from palpate.core import Pose
 from palpate.mechanics.axisymmetric.shape_table import SphereTable, edge_correction
 from palpate.mechanics.half_space import hertz
 from palpate.mechanics.half_space.hertz import secondary_stress
-from palpate.mechanics.layers.bonded_layer import dimitriadis_factor
 from palpate.optics import (
     Rays,
     StressOpticLaw,
@@ -115,10 +114,6 @@ def shortcuts() -> str:
     hertz = 4 / 3 / (1 - 0.49**2)
     rows = [
         ("Hertz's force at 5 mm", f"{100 * (hertz / solved - 1):+.0f} %"),
-        (
-            "Dimitriadis's force at 5 mm, far out of its range",
-            f"{100 * (hertz * dimitriadis_factor(0.5, 0.49) / solved - 1):+.0f} %",
-        ),
         (
             "64 even slices over 57 mm under a point load, for graded ones",
             f"light off by up to {even_slices():.2f}",

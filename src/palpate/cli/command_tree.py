@@ -108,7 +108,7 @@ PAIRS = words_of(
 MECHANICS = words_of(
     "Compute force, depth, radius, and pressure by a contact law.",
     "study.mechanics_verbs",
-    "hertz", "sphere", "punch", "cone", "layer", "jkr", "ting",
+    "hertz", "sphere", "punch", "cone", "layer",
 )  # fmt: skip
 HEADINGS: dict[str, dict[str, str | Kinds]] = {
     "Record": {

@@ -16,12 +16,12 @@ from palpate.mechanics.half_space.hertz import (
     depth_from_radius,
     force_from_depth,
     greatest_depth,
+    line_integrated_stress,
     peak_pressure,
     press,
     reduced_modulus,
     secondary_stress,
 )
-from palpate.mechanics.half_space.subsurface import line_integrated_stress
 
 __all__ = [
     "EdgeCorrection",

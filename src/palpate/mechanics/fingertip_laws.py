@@ -4,10 +4,8 @@
     exponential      F = b (exp(m d) - 1), A = k F^n with n from 0 to 2/3
     finite-strain    gel hemisphere under a skin, scaled from the tables of `tip_table`
 
-On a soft flat neither composition is exact beyond Hertz: `on_flat` replaces the finger at each force by the
-Hertz ball with its approach and area (error at most 5 % in approach and 11 % in area for the tabulated tips
-at 0.5 to 2 N); `in_series` adds displacements at equal force, up to 26 % too soft for a ball and flat of
-equal moduli.
+On a soft flat, `on_flat` replaces the finger at each force by the Hertz ball with its approach and area
+(error at most 5 % in approach and 11 % in area for the tabulated tips at 0.5 to 2 N).
 
 References: D. T. V. Pawluk, R. D. Howe, J. Biomech. Eng. 121 (1999) 178, doi:10.1115/1.2835100; N. Xydas,
 I. Kao, Int. J. Robotics Res. 18 (1999) 941, doi:10.1177/02783649922066673.
@@ -194,17 +192,4 @@ def on_flat(tip: Fingertip, flat_pa: float) -> Fingertip:
         "finger is like at each force",
         lambda F: tip.approach(F) * growth(F),
         area,
-    )
-
-
-def in_series(tip: Fingertip, below: Law, what: str) -> Fingertip:
-    """Return the fingertip on a rigid plate over a body with displacement `below` [m] by force: displacements
-    add.
-    """
-    return Fingertip(
-        tip.name,
-        tip.greatest_n,
-        f"{tip.source}; on {what}, displacements added at equal force",
-        lambda F: tip.approach(F) + below(F),
-        tip.area,
     )

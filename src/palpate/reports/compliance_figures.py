@@ -114,8 +114,6 @@ def _area(axes: Axes, trial: ReferenceTrial, touch: PressReading) -> None:
     force, area = touch.course.force_n, 1e6 * touch.course.area_m2
     axes.fill_between(force, area[:, 1], area[:, 2], color=BAND, label="90 % interval")
     axes.plot(force, area[:, 0], color=ACCENT, marker=".", label="all pins")
-    if np.isfinite(touch.course.ring_m2).any():
-        axes.plot(force, 1e6 * touch.course.ring_m2, color=INK, lw=0.8, ls=":", label="ring and stretch")
     if trial.area_m2 is not None and np.isfinite(trial.area_m2).any():
         axes.plot(force, 1e6 * trial.area_m2, color=BAD, lw=0.8, ls="--", label="known")
     axes.set(xlabel="force [N]", ylabel="contact area [mm²]", title="contact area")

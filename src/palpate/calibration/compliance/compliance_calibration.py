@@ -15,7 +15,6 @@ from typing import Any, TypeVar
 import numpy as np
 
 from palpate.calibration.certificate import contents_id, load_record, save_record
-from palpate.calibration.compliance.contact_shape import rigid_plate_stretch
 from palpate.calibration.compliance.press_nuisances import Nuisances
 from palpate.calibration.compliance.reference_stiffness import check_references
 from palpate.core import (
@@ -33,11 +32,9 @@ from palpate.core.reading import ReasonCode, Refusal
 from palpate.estimators.compliance.contact_area import (
     AreaFit,
     Motions,
-    RigidPlateStretch,
     fit_area,
     fit_motions,
     left_out_areas,
-    ring_measures,
 )
 from palpate.estimators.compliance.hertz_inversion import (
     Finger,
@@ -129,7 +126,6 @@ T = TypeVar("T")
 Samples = Float[ndarray, " _"]
 
 
-MIN_RING_SHARE = 0.5  # of a trial's frames; on an inclined specimen the field's edge cuts the ring
 LEVELS_N = np.arange(1.0, 4.51, 0.5)
 AREA_AT_N = 4.0  # where an area is told
 MIN_AREAS = 6  # of a press, for a spread rate
@@ -162,14 +158,13 @@ class ComplianceCalibration:
         layout_px: no-contact pins ``[p 2]`` [px].
         levels_n: forces at which presses are compared [N].
         touch, both: stiffness curves of the pins' motion alone, and with the approach.
-        motions, area, ring: contact area by the pins' motion, and by ring and stretch.
+        motions, area: contact area by the pins' motion.
         finger: Hertz pair that acts as the tip does.
         wobble_px: RMS distance of no-contact pins from the layout [px].
         speed_m_s: least and greatest of the references [m/s].
         tilt_rad: inclination of the specimens' tops, for which alone it is valid [rad].
         rate, level: spread rates and areas at 4 N against known ones.
         nuisances: standard sizes that intervals contain.
-        rigid_plate: stretch of the middle by the ring's radius on a rigid plate.
         latency_s: camera latency that was corrected [s].
         shape: modulus and radius by motion and approach, from spheres.
         moduli_per_m: E* over stiffness of the flat references, by the inversion used for a press [1/m].
@@ -182,17 +177,15 @@ class ComplianceCalibration:
     both: SoftnessCurve | None
     motions: Motions | None
     area: AreaFit | None
-    ring: AreaFit | None
     finger: Finger | None
     wobble_px: float
     speed_m_s: tuple[float, float]
+    seat: Seat
+    nuisances: Nuisances
     tilt_rad: float = 0.0
     note: str = ""
     version: str = __version__
     rate: RateFit | None = None
-    seat: Seat | None = None
-    nuisances: Nuisances | None = None
-    rigid_plate: RigidPlateStretch | None = None
     latency_s: float | None = None
     shape: ShapeSurface | None = None
     level: RateFit | None = None
@@ -251,7 +244,7 @@ def calibrate_compliance(
         [references[i].name for i in flat], touch, both, approach_px=APPROACH_PX, tilt_rad=tilt_rad
     )
     flat_trials = [(i, t, m) for (i, t), m in zip(trials, motions_px, strict=True) if i in flat]
-    motions, area, ring, rate, level = _areas(
+    motions, area, rate, level = _areas(
         [(flat.index(i), t) for i, t, _ in flat_trials], [m for _, _, m in flat_trials], layout
     )
     speeds = [press.speed_m_s for press in presses]
@@ -264,18 +257,14 @@ def calibrate_compliance(
         both,
         motions,
         area,
-        ring,
         finger,
         float(np.sqrt(np.mean([wobble_px(press, layout) ** 2 for press in presses]))),
         (float(np.min(speeds)), float(np.max(speeds))),
+        fit_seat(softness(touch.kappa_n_m, touch.turning_n_m), _seats(presses, which, layout, flat)),
+        Nuisances() if nuisances is None else nuisances,
         tilt_rad,
         note,
         rate=rate,
-        seat=fit_seat(softness(touch.kappa_n_m, touch.turning_n_m), _seats(presses, which, layout, flat)),
-        nuisances=Nuisances() if nuisances is None else nuisances,
-        rigid_plate=rigid_plate_stretch(
-            trial.press for one in references if np.isinf(one.kappa_n_m) for trial in one.trials
-        ),
         shape=shape,
         level=level,
         moduli_per_m=None if finger is None else _moduli_per_m(finger, [references[i] for i in flat]),
@@ -339,21 +328,19 @@ def _areas(
     trials: Sequence[tuple[int, ReferenceTrial]],
     moved: Sequence[Float[ndarray, "_ p 2"]],
     layout: Float[ndarray, "p 2"],
-) -> tuple[Motions | None, AreaFit | None, AreaFit | None, RateFit | None, RateFit | None]:
+) -> tuple[Motions | None, AreaFit | None, RateFit | None, RateFit | None]:
     known = [(i, m, t.area_m2) for (i, t), m in zip(trials, moved, strict=True) if t.area_m2 is not None]
     if len({i for i, _, _ in known}) < 2:
-        return None, None, None, None, None
+        return None, None, None, None
     which = [i for i, _, _ in known]
     areas = [a for _, _, a in known]
     motions = fit_motions([m for _, m, _ in known])
     measures = [motions.of(m) for _, m, _ in known]
     area = fit_area(measures, areas, which)
     forces = [t.press.force_n for _, t in trials if t.area_m2 is not None]
-    rings = [ring_measures(layout, m) for _, m, _ in known]
-    whole = all(np.isfinite(one).all(axis=1).mean() > MIN_RING_SHARE for one in rings)
     found = left_out_areas(measures, areas)
     rate, level = (_against_known(of, forces, found, areas, which) for of in (rate_by_areas, area_at_4_n))
-    return motions, area, fit_area(rings, areas, which) if whole else None, rate, level
+    return motions, area, rate, level
 
 
 def rate_by_areas(force_n: Samples, area_m2: Samples) -> float:

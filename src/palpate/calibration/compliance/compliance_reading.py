@@ -30,10 +30,9 @@ from palpate.calibration.compliance.press_verdict import (
 )
 from palpate.core import Drift, Float, InputError, RangeError, Reading, ndarray
 from palpate.core.reading import SEPARATOR, ReasonCode, Refusal, joined
-from palpate.estimators.compliance.contact_area import AreaFit, RigidPlateStretch, ring_measures
+from palpate.estimators.compliance.contact_area import AreaFit
 from palpate.estimators.compliance.hertz_inversion import PressCurves, ShapeSurface, invert_hertz
 from palpate.estimators.compliance.pin_press import PinPress, at_forces, motion_on_layout
-from palpate.estimators.compliance.spread_rate import RateFit, spread
 from palpate.estimators.compliance.stiffness_curve import SoftnessCurve, softness
 
 COVERAGE = 0.9
@@ -67,11 +66,10 @@ NO_BETWEEN = "two references cannot tell what is lost between them; calibrate on
 
 @dataclass(frozen=True)
 class AreaCourse:
-    """Over force [N], one row a frame: area, low and high [m^2], and area by the ring [m^2]."""
+    """Over force [N], one row a frame: area, low and high [m^2]."""
 
     force_n: Float[ndarray, " f"]
     area_m2: Float[ndarray, "f 3"]
-    ring_m2: Float[ndarray, " f"]
 
 
 @dataclass(frozen=True)
@@ -95,7 +93,6 @@ class PressReading:
     course: AreaCourse | None
     budget: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     nuisances: Nuisances | None = None
-    rigid_plate: RigidPlateStretch | None = None
 
     @property
     def readings(self) -> tuple[Reading, ...]:
@@ -119,10 +116,8 @@ def read_touch(
     flat = worst_misfit(calibration, presses, flat=True)
     reasons = press_reasons(calibration, presses, flat if calibration.shape is None else None)
     verdict = _Verdict(calibration, drift_of(calibration, presses), reasons, name)
-    read = replace(_read(calibration, presses, verdict), rigid_plate=calibration.rigid_plate)
-    if calibration.nuisances is not None:
-        read = _widened(read, _altered_values(calibration, presses, verdict), calibration.touch.turning_n_m)
-        read = replace(read, nuisances=calibration.nuisances)
+    read = _read(calibration, presses, verdict)
+    read = _widened(calibration, read, _altered_values(calibration, presses, verdict))
     return _stretched(calibration, _judged(calibration, read, flat), flat.birge)
 
 
@@ -212,7 +207,7 @@ def _on_flat(
     if name == "modulus":
         return None if calibration.moduli_per_m is None else calibration.moduli_per_m * kappa_n_m
     fit = calibration.level if name == "area" else calibration.rate
-    if fit is None or fit.means is None or len(fit.means) != len(calibration.touch.kappa_n_m):
+    if fit is None or len(fit.means) != len(calibration.touch.kappa_n_m):
         return None
     curve = calibration.touch
     known, asked = (softness(k, curve.turning_n_m) for k in (curve.kappa_n_m, kappa_n_m))
@@ -233,9 +228,7 @@ def _refused(reading: Reading | None, reasons: Sequence[Refusal]) -> Reading | N
     return replace(reading, **fields)  # type: ignore[arg-type]
 
 
-def _read(
-    calibration: ComplianceCalibration, presses: Sequence[PinPress], verdict: _Verdict, *, ring: bool = True
-) -> PressReading:
+def _read(calibration: ComplianceCalibration, presses: Sequence[PinPress], verdict: _Verdict) -> PressReading:
     reader = _PressReader(calibration, presses, verdict)
     rows = np.stack([touch_row(one, calibration.layout_px, calibration.levels_n) for one in presses])
     both = modulus = radius = None
@@ -248,7 +241,7 @@ def _read(
     stiffness = reader.stiffness("stiffness", calibration.touch, rows)
     if calibration.area is None:
         return PressReading(stiffness, both, None, None, modulus, radius, None)
-    courses = [_course(calibration, one, ring) for one in presses]
+    courses = [_course(calibration, one) for one in presses]
     area, rate = reader.area(courses), reader.rate(courses)
     if both is not None and calibration.shape is None:
         modulus, radius = reader.modulus_and_radius(courses)
@@ -258,37 +251,33 @@ def _read(
 def _altered_values(
     calibration: ComplianceCalibration, presses: Sequence[PinPress], verdict: _Verdict
 ) -> dict[str, dict[str, float]]:
-    assert calibration.nuisances is not None
     by_press = [calibration.nuisances.altered(press) for press in presses]
     values = {}
     for name in by_press[0]:
         altered = [one[name] for one in by_press]
         with suppress(InputError, RangeError):  # beyond the forces that the press reached
-            read = _read(calibration, altered, verdict, ring=False)
+            read = _read(calibration, altered, verdict)
             values[name] = {one.quantity: one.value for one in read.readings}
     return values
 
 
 def _widened(
-    read: PressReading, altered: Mapping[str, Mapping[str, float]], turning_n_m: float
+    calibration: ComplianceCalibration, read: PressReading, altered: Mapping[str, Mapping[str, float]]
 ) -> PressReading:
     """The readings with intervals that contain the nuisances, as standard deviations beside their own."""
-    names = (
-        "stiffness", "stiffness_both", "area", "spread_rate", "modulus", "radius",
-    )  # fmt: skip
     wide, budget = {}, {}
-    for name in names:
+    for name in FIELDS:
         one: Reading | None = getattr(read, name)
         if one is None:
             continue
         moved = {nuisance: values[one.quantity] for nuisance, values in altered.items()}
-        low, high = contained(one, list(moved.values()), _scale(one, turning_n_m))
+        low, high = contained(one, list(moved.values()), _scale(one, calibration.touch.turning_n_m))
         wide[name] = replace(one, low=low, high=high)
         if np.isfinite(one.value) and one.value:
             budget[one.quantity] = {
                 key: value / one.value - 1 for key, value in moved.items() if value != one.value
             }
-    return replace(read, **wide, budget=budget)  # type: ignore[arg-type]
+    return replace(read, **wide, budget=budget, nuisances=calibration.nuisances)  # type: ignore[arg-type]
 
 
 Scale = Callable[[float], float]
@@ -318,14 +307,11 @@ def contained(reading: Reading, altered: Sequence[float], scale: tuple[Scale, Sc
     return back(middle + float(np.hypot(low, half))), back(middle - float(np.hypot(high, half)))
 
 
-def _course(calibration: ComplianceCalibration, press: PinPress, with_ring: bool) -> AreaCourse:
+def _course(calibration: ComplianceCalibration, press: PinPress) -> AreaCourse:
     assert calibration.area is not None
     assert calibration.motions is not None
     motion = motion_on_layout(press, calibration.layout_px)
-    ring = np.full(len(motion), np.nan)
-    if calibration.ring is not None and with_ring:
-        ring = calibration.ring.at(ring_measures(calibration.layout_px, motion))[:, 0]
-    return AreaCourse(press.force_n, calibration.area.at(calibration.motions.of(motion), COVERAGE), ring)
+    return AreaCourse(press.force_n, calibration.area.at(calibration.motions.of(motion), COVERAGE))
 
 
 @dataclass(frozen=True)
@@ -372,46 +358,31 @@ class _PressReader:
 
     def area(self, courses: Sequence[AreaCourse]) -> Reading:
         fit, at = self._fit, np.array([AREA_AT_N])
-        if self.calibration.level is not None:
+        if (level := self.calibration.level) is not None:
             areas = np.array([area_at_4_n(one.force_n, one.area_m2[:, 0]) for one in courses])
             if not (areas > 0).all():
                 raise InputError(
                     f"a press has no contact area at {AREA_AT_N:g} N; press as far as the references were"
                 )
-            value = np.array(self.calibration.level.of(areas, COVERAGE))
+            value = np.array(level.of(areas, COVERAGE))
         else:
             value = np.mean([at_forces(one.force_n, one.area_m2, at)[0] for one in courses], axis=0)
-        range_ = _known(self.calibration.level) or fit.range_m2
+        range_ = fit.range_m2 if level is None else level.known
         ends = (float(value[0]), float(value[1]), float(value[2]))
         return self.reading("area_at_4_N", ends, "m2", range_, self._between(fit.spread))
 
-    def rate(self, courses: Sequence[AreaCourse]) -> Reading:
-        """dA/dF against known ones; without these its relative error is taken for at most the areas'."""
-        levels = self.calibration.levels_n
-        if self.calibration.rate is not None:
-            rates = np.array([rate_by_areas(one.force_n, one.area_m2[:, 0]) for one in courses])
-            if not (rates > 0).all():
-                raise InputError(
-                    "the areas of a press do not grow with force; are table and frames of one press?"
-                )
-            value = self.calibration.rate.of(rates, COVERAGE)
-        else:
-            value = self._rate_as_areas(courses)
-        low, high = self._fit.range_m2
-        range_ = _known(self.calibration.rate) or (0.0, float((high - low) / (levels[-1] - levels[0])))
-        return self.reading("spread_rate", value, "m2_per_N", range_, self._between(self._fit.spread))
+    def rate(self, courses: Sequence[AreaCourse]) -> Reading | None:
+        """dA/dF against known ones; None where two references know it."""
+        if (fit := self.calibration.rate) is None:
+            return None
+        rates = np.array([rate_by_areas(one.force_n, one.area_m2[:, 0]) for one in courses])
+        if not (rates > 0).all():
+            raise InputError("areas of a press do not grow with force; are table and frames of one press?")
+        value = fit.of(rates, COVERAGE)
+        return self.reading("spread_rate", value, "m2_per_N", fit.known, self._between(self._fit.spread))
 
     def _between(self, error: float) -> list[Refusal]:
         return [] if np.isfinite(error) else [Refusal(ReasonCode.TWO_REFERENCES, NO_BETWEEN)]
-
-    def _rate_as_areas(self, courses: Sequence[AreaCourse]) -> tuple[float, float, float]:
-        levels = self.calibration.levels_n
-        rates = []
-        for one in courses:
-            good = (one.force_n >= levels[0]) & (one.force_n <= levels[-1] + 0.5)
-            rates.append(spread(one.force_n[good], one.area_m2[good, 0]).rate_m2_n)
-        rate, relative = float(np.mean(rates)), float(np.expm1(NORMAL * self._fit.spread))
-        return rate, rate * (1 - relative), rate * (1 + relative)
 
     def modulus_and_radius(self, courses: Sequence[AreaCourse]) -> tuple[Reading | None, Reading | None]:
         finger = self.calibration.finger
@@ -440,8 +411,3 @@ class _PressReader:
     def _fit(self) -> AreaFit:
         assert self.calibration.area is not None
         return self.calibration.area
-
-
-def _known(fit: RateFit | None) -> tuple[float, float] | None:
-    """Return the range of the references; None where it was not kept."""
-    return None if fit is None else fit.known

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from palpate.calibration.compliance.compliance_calibration import ComplianceCalibration, finite_or_none
-from palpate.calibration.compliance.press_nuisances import Nuisances
 from palpate.core import (
     Float,
     InputError,
@@ -220,11 +219,9 @@ def with_latency(
     """
     before, sizes = calibration.latency_s, calibration.nuisances
     if before is not None and latency is not None:
-        if sizes is None:
-            return calibration, ""
         wide = replace(sizes, late_s=math.hypot(sizes.late_s, latency.sd_s))
         return replace(calibration, nuisances=wide), ""
     one_sided = abs(before or 0.0) if latency is None else abs(latency.seconds)
-    if one_sided <= COVERED * (Nuisances() if sizes is None else sizes).late_s:
+    if one_sided <= COVERED * sizes.late_s:
         return calibration, ""
     return calibration, NOT_SO.format(1e3 * one_sided) if latency is None else NOT_CORRECTED

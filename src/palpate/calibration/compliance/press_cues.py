@@ -16,16 +16,14 @@ from palpate.calibration.compliance.compliance_calibration import (
     reference_trial,
 )
 from palpate.calibration.compliance.compliance_reading import PressReading, read_touch
-from palpate.calibration.compliance.contact_shape import contact_shape
 from palpate.calibration.compliance.latency_file import CameraLatency, with_latency
 from palpate.calibration.compliance.reference_stiffness import series_line
-from palpate.core import InputError, Reading, Shaped, ndarray
+from palpate.core import Reading, Shaped, ndarray
 from palpate.core.reading import SEPARATOR
 from palpate.estimators.compliance.spread_rate import (
     AsReported,
     as_reported,
     circle_through_pins,
-    refuse_literal,
 )
 from palpate.estimators.pins import grey_frame
 from palpate.psychophysics import Line
@@ -51,14 +49,12 @@ class PressCues:
         trial: pins and, if known, area.
         series: force [N] over approach [m] of sensor and specimen in series; None without position.
         reported, late: the published route over the circle through the pins, above 0.5 and above 2.5 N.
-        region_px: number of pixels in that circle.
     """
 
     trial: ReferenceTrial
     series: Line | None
     reported: AsReported
     late: AsReported
-    region_px: int
 
     def row(self, calibration: ComplianceCalibration | None, name: str = "") -> dict[str, float]:
         """One number a cue, its unit in its name; cues that this press does not have are left out."""
@@ -86,7 +82,7 @@ def cues_of(frames: Iterable[Shaped[ndarray, ...]], table: PressTable) -> PressC
     grey = (one for one in map(grey_frame, frames) if one is not None)  # others were refused with the pins
     reported = as_reported(grey, table.force_n, table.frame_sample, region=circle)
     line = None if table.position_m is None else series_line(table)
-    return PressCues(trial, line, reported, reported.above(LATE_N), int(circle.sum()))
+    return PressCues(trial, line, reported, reported.above(LATE_N))
 
 
 def read_press(
@@ -136,9 +132,7 @@ def press_record(cues: PressCues, touch: PressReading | None) -> dict[str, Any]:
                 f"{way}_per_N": {"value": one.rate_m2_n, "steps": one.steps, "warning": one.warning}
                 for way, one in reported.spreads.items()
             },
-            "to_the_letter": {"why_not": _letter(cues)},
         },
-        "contact_shape": contact_shape(press, None if touch is None else touch.rigid_plate),
     }
     if cues.series is not None:
         record["series_stiffness"] = {
@@ -146,7 +140,7 @@ def press_record(cues: PressCues, touch: PressReading | None) -> dict[str, Any]:
             "value_N_per_mm": 1e-3 * cues.series.slope,
             "adjusted_r2": finite_or_none(cues.series.adjusted_r2),
         }
-    if touch is not None and touch.nuisances is not None:
+    if touch is not None and touch.nuisances:
         record["nuisances"] = touch.nuisances.at_edge()
         record["changes_by_nuisance"] = {
             quantity: {name: finite_or_none(share) for name, share in each.items()}
@@ -157,18 +151,9 @@ def press_record(cues: PressCues, touch: PressReading | None) -> dict[str, Any]:
         record["area"] = [
             {"force_N": float(f)}
             | {name: finite_or_none(1e6 * x) for name, x in zip(names, area, strict=True)}
-            | {"by_ring_mm2": finite_or_none(1e6 * ring)}
-            for f, area, ring in zip(course.force_n, course.area_m2, course.ring_m2, strict=True)
+            for f, area in zip(course.force_n, course.area_m2, strict=True)
         ]
     return record
-
-
-def _letter(cues: PressCues) -> str:
-    """Why equations (8) and (11) are not run to the letter, with what they would have come to."""
-    try:
-        refuse_literal(cues.reported.force_n, cues.reported.divergence, cues.region_px)
-    except InputError as e:
-        return str(e)
 
 
 def reading_record(reading: Reading) -> dict[str, Any]:

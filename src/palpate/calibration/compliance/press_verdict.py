@@ -29,7 +29,6 @@ from palpate.calibration.compliance.compliance_calibration import (
     touch_row,
     wobble_px,
 )
-from palpate.calibration.compliance.press_nuisances import NONE, Nuisances
 from palpate.core import Bool, Drift, Float, ndarray
 from palpate.core.reading import ReasonCode, Refusal
 from palpate.estimators.compliance.hertz_inversion import BENDS as SURFACE_BENDS, GRID as SHAPES, ShapeSurface
@@ -98,9 +97,10 @@ def cue_misfit(calibration: ComplianceCalibration, press: PinPress, *, flat: boo
         return np.concatenate([pins, approach_row(one, calibration.levels_n)]) if placed else pins
 
     model = _model(calibration, placed, flat=flat)
-    sizes = NONE if calibration.nuisances is None else calibration.nuisances
     y = row(press)
-    changes = np.array([row(one) - y for one in sizes.altered(press).values()]).reshape(-1, len(y))
+    changes = np.array([row(one) - y for one in calibration.nuisances.altered(press).values()]).reshape(
+        -1, len(y)
+    )
     known = np.isfinite(y) & np.isfinite(model.space.middle) & np.isfinite(changes).all(axis=0)
     approach = np.zeros(len(y), bool)
     if placed:
@@ -198,7 +198,6 @@ REPEATED_PX = 1e-3  # by which no pin moved between two frames: a new image has 
 RISE_N = 0.02  # of the force between them
 MAX_SIZES = 1.3  # of the nuisances together, in standard sizes, beyond what MAX_NOVELTY leaves unexplained
 DAMPED = 1e-9  # of the nuisances' own strength: next to none, and over it, next to all
-EXPLAINED = 0.9  # of what is unlike every reference, for a cause to be named
 UNLIKE = (
     "the pins move as on no reference ({:.1f} times the references' own scatter, {:g} are allowed): another "
     "tilt, shape or skin than was calibrated"
@@ -217,14 +216,6 @@ OFF_CENTRE = (
 )
 DRIFTED = "the untouched pins have moved against each other since calibration; calibrate anew"
 SPEED = "pressed at {:.3g} mm/s, calibrated at {:.3g} to {:.3g} mm/s; the skin may answer otherwise"
-CAUSES = {
-    "force_bias_n": "a force's zero off by {:+.2g} N would explain most of it",
-    "force_gain": "a force {:+.0%} off would explain most of it",
-    "late_s": "frames {:+.0f} ms late against the force would explain most of it",
-    "lever": "pins that move {:+.0%} farther (another lever, tip or camera height) would explain most of it",
-}
-SHOWN = {"late_s": 1e3}  # of the unit in which a cause is told
-PROBE = Nuisances(frame_yield_m_n=0.0)
 PINS_APART = (
     "the pins fit no single object of the references' kind at all forces (misfit {:.3g}, {:.3g} is allowed); "
     "calibrate on that kind of object, such as a layer on a hard base"
@@ -286,11 +277,8 @@ def _frozen(calibration: ComplianceCalibration, press: PinPress, row: Vector) ->
 
 
 def _off_centre(calibration: ComplianceCalibration, press: PinPress, row: Vector) -> str:
-    if calibration.seat is None:
-        return ""
     layout = calibration.layout_px
-    sizes = NONE if calibration.nuisances is None else calibration.nuisances
-    altered = [sideways_px(one, layout) for one in sizes.altered(press).values()]
+    altered = [sideways_px(one, layout) for one in calibration.nuisances.altered(press).values()]
     off = calibration.seat.off(sideways_px(press, layout), calibration.touch.of(row[None]).s, altered)
     return "" if off <= MAX_OFF else OFF_CENTRE.format(off, MAX_OFF)  # NaN of lost pins is not centred
 
@@ -309,15 +297,12 @@ def _unlike(calibration: ComplianceCalibration, press: PinPress, row: Vector) ->
         shown = [(calibration.shape.space, pins_and_approach)]
     if max(curve.novelty_score(of(press)) for curve, of in shown) <= MAX_NOVELTY:
         return ""
-    sizes = NONE if calibration.nuisances is None else calibration.nuisances
-    altered = list(sizes.altered(press).values())
+    altered = list(calibration.nuisances.altered(press).values())
     left = [_left_unlike(curve, of(press), [of(one) for one in altered]) for curve, of in shown]
     score, beyond = (max(each) for each in zip(*left, strict=True))
     if score <= MAX_NOVELTY and beyond <= MAX_SIZES:
         return ""
-    why = UNLIKE.format(score, MAX_NOVELTY) if score > MAX_NOVELTY else BEYOND.format(beyond, MAX_SIZES)
-    cause = likely_cause(calibration, press, row)
-    return f"{why}; {cause}" if cause else why
+    return UNLIKE.format(score, MAX_NOVELTY) if score > MAX_NOVELTY else BEYOND.format(beyond, MAX_SIZES)
 
 
 def _left_unlike(curve: SmallSpace, row: Vector, altered: Sequence[Vector]) -> tuple[float, float]:
@@ -344,28 +329,6 @@ def _left_unlike(curve: SmallSpace, row: Vector, altered: Sequence[Vector]) -> t
         return left(strongest)[0], 0.0
     damping = brentq(lambda log: left(np.exp(log))[0] - MAX_NOVELTY, np.log(weakest), np.log(strongest))
     return MAX_NOVELTY, left(float(np.exp(damping)))[1]
-
-
-def likely_cause(calibration: ComplianceCalibration, press: PinPress, row: Vector) -> str:
-    """Return the known fault whose direction explains most of the residual, and its size."""
-    unlike = _outside(calibration.touch.space, row)
-    explained: dict[str, tuple[float, float]] = {}
-    for name, altered in PROBE.altered(press).items():
-        along = _outside(
-            calibration.touch.space, touch_row(altered, calibration.layout_px, calibration.levels_n)
-        )
-        direction = np.nan_to_num(along - unlike)
-        norm = float(direction @ direction)
-        if norm > 0:
-            times = float(np.nan_to_num(unlike) @ direction) / norm
-            explained[name] = times**2 * norm, times * getattr(PROBE, name)
-    if not explained:
-        return ""
-    best = max(explained, key=lambda name: explained[name][0])
-    share, size = explained[best]
-    if share < EXPLAINED * float(np.nansum(unlike**2)):
-        return ""
-    return CAUSES[best].format(SHOWN.get(best, 1.0) * size)
 
 
 def _outside(curve: SmallSpace, row: Vector) -> Vector:

@@ -1,4 +1,4 @@
-"""Calibration of a lens: robust fit, views and corners rejected with the reason, errors on views held out."""
+"""Calibration of a lens: views and corners rejected with the reason, errors on views held out."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ import cv2
 import numpy as np
 
 from palpate.calibration.lens.boards import Board, BoardView, MissedView, read_views
-from palpate.calibration.lens.bundle import PARAMETERS, Bundle, adjust, first_guess, view_error_px
+from palpate.calibration.lens.bundle import PARAMETERS, Bundle, adjust, first_guess, lens_of, view_error_px
 from palpate.core import InputError, Lens, LensModel, PathText, Progress, silent
 
 Choice = Literal["auto", "fisheye", "pinhole"]
 MODELS: dict[str, LensModel] = {"fisheye": "kannala-brandt", "pinhole": "pinhole"}
 MIN_VIEWS = 6
 MIN_CORNERS_LEFT = 0.7  # of a view's corners, below which the view goes as a whole
-MAX_CORNER_SCALES = 6.0  # robust standard deviations of an error; of Gaussian ones, one in 10⁸ goes
+MAX_CORNER_SCALES = 4.0  # robust standard deviations of an error; of Gaussian ones, one in 3,000 goes
 MAX_VIEW_RATIO = 4.0  # a view's error over the median view's, fitted or held out
 MIN_VIEW_ERROR_PX = 0.5  # below which no view is called bad
 MIN_TILT_RAD = math.radians(10)  # between the boards' normals
@@ -67,7 +67,6 @@ class LensFit:
         coverage: ratio of the frame within the hull of all corners.
         widest_rad: largest angle of a corner from the axis [rad].
         other_model, other_held_out_px: held-out error of the model not taken; None without a fit.
-        plain_rms_px, plain_failure: error of OpenCV's own calibration of all views, or its message.
     """
 
     lens: Lens
@@ -84,8 +83,6 @@ class LensFit:
     widest_rad: float
     other_model: LensModel
     other_held_out_px: float | None
-    plain_rms_px: float | None
-    plain_failure: str
     warnings: tuple[str, ...]
 
     @property
@@ -201,19 +198,19 @@ def _rms(values: Sequence[float]) -> float:
 
 def _accept(model: LensModel, views: Sequence[BoardView], progress: Any) -> _Accepted:
     guess = first_guess(model, views)
-    poses = [np.full(6, np.nan)] * len(views) if guess is None else guess.poses
+    poses = [None] * len(views) if guess is None else guess[1]
     rejected = [
         MissedView(view.name, "the board has no pose that its corners fit")
         for view, pose in zip(views, poses, strict=True)
-        if not np.isfinite(pose).all()
+        if pose is None
     ]
-    posed = [i for i, pose in enumerate(poses) if np.isfinite(pose).all()]
-    if guess is None or len(posed) < MIN_VIEWS:
+    whole = [view for view, pose in zip(views, poses, strict=True) if pose is not None]
+    if guess is None or len(whole) < MIN_VIEWS:
         raise InputError(
-            f"only {len(posed)} views have a pose that their corners fit; {MIN_VIEWS} are needed"
+            f"only {len(whole)} views have a pose that their corners fit; {MIN_VIEWS} are needed"
         )
-    whole = [views[i] for i in posed]
-    bundle = adjust(adjust(guess.of_views(posed), whole, free=(0, 1, 2, 3)), whole)
+    bundle = adjust(model, guess[0], [pose for pose in poses if pose is not None], whole, free=4)
+    bundle = adjust(model, bundle.numbers, bundle.poses, whole)
     while True:
         corners = [_good_corners(*pair, bundle) for pair in zip(whole, bundle.errors_px, strict=True)]
         errors = [_rms_of(part) for _, part in corners]
@@ -228,7 +225,7 @@ def _accept(model: LensModel, views: Sequence[BoardView], progress: Any) -> _Acc
             )
         else:
             kept = [view for view, _ in corners]
-            fitted = adjust(bundle, kept)
+            fitted = adjust(model, bundle.numbers, bundle.poses, kept)
             held = _without_each(fitted, kept, progress)
             worst = int(np.argmax(held))
             if held[worst] <= _bound(held):
@@ -238,7 +235,7 @@ def _accept(model: LensModel, views: Sequence[BoardView], progress: Any) -> _Acc
         others = [i for i in range(len(whole)) if i != worst]
         _refuse_few(len(others), rejected)
         whole = [whole[i] for i in others]
-        bundle = adjust(bundle.of_views(others), whole)
+        bundle = adjust(model, bundle.numbers, [bundle.poses[i] for i in others], whole)
 
 
 def _px(value: float) -> str:
@@ -267,7 +264,8 @@ def _without_each(bundle: Bundle, views: Sequence[BoardView], progress: Any) -> 
     held = np.zeros(count)
     for done, fold in enumerate(folds, start=1):
         left = [i for i in range(count) if i not in fold]
-        fitted = adjust(bundle.of_views(left), [views[i] for i in left])
+        poses = [bundle.poses[i] for i in left]
+        fitted = adjust(bundle.model, bundle.numbers, poses, [views[i] for i in left])
         for i in fold:
             held[i] = view_error_px(bundle.model, fitted.numbers, views[i])
         progress(done, len(folds))
@@ -282,7 +280,7 @@ def _told(
     missed: Sequence[MissedView],
 ) -> LensFit:
     bundle, size = fit.bundle, views[0].size_px
-    lens = bundle.lens(size)
+    lens = lens_of(bundle.model, bundle.numbers, size)
     rays = lens.rays(np.concatenate([view.places_px for view in fit.kept]))
     angles = np.arccos(np.clip(rays[:, 2], -1, 1))
     if not np.isfinite(angles).all():
@@ -293,12 +291,11 @@ def _told(
     widest, error = float(angles.max()), np.concatenate(bundle.errors_px)
     by_noise, by_views = _standard_errors(bundle)
     covered = _refuse_degenerate(fit, lens, by_noise)
-    plain, failure = _plain(bundle.model, views)
     other = next(model for model in compared if model != bundle.model)
     names = PARAMETERS[bundle.model]
     rows = zip(fit.whole, fit.kept, bundle.errors_px, fit.held_out, strict=True)
     return LensFit(
-        lens=bundle.lens(size, widest),
+        lens=lens_of(bundle.model, bundle.numbers, size, widest),
         board=board,
         views=tuple(
             ViewScore(
@@ -322,8 +319,6 @@ def _told(
         widest_rad=widest,
         other_model=other,
         other_held_out_px=compared[other] if math.isfinite(compared[other]) else None,
-        plain_rms_px=plain,
-        plain_failure=failure,
         warnings=_warnings(fit, covered, compared, other),
     )
 
@@ -332,20 +327,21 @@ def _standard_errors(bundle: Bundle) -> tuple[np.ndarray, np.ndarray]:
     """Standard errors of the lens parameters: from the spread of corners, and by resampling views, one
     Gauss-Newton step each.
     """
-    normal = bundle.normal.sum(axis=0)
+    parts = [bundle.reduced(view, len(bundle.numbers)) for view in range(len(bundle.poses))]
+    normals, scores = np.array([part[0] for part in parts]), np.array([part[1] for part in parts])
+    normal = normals.sum(axis=0)
     unit = 1 / np.sqrt(np.diag(normal))
     covariance = unit[:, None] * np.linalg.inv(unit[:, None] * normal * unit) * unit
     errors = np.concatenate(bundle.errors_px)
     unknowns = len(normal) + 6 * len(bundle.poses)
-    # Huber's weights shrink the normal matrix; the spread that they act on is that of all kept corners.
     variance = float(np.sum(errors**2)) / max(1, errors.size - unknowns)
     rng = np.random.default_rng(0)
-    count, steps = len(bundle.normal), []
+    count, steps = len(normals), []
     for _ in range(RESAMPLES):
         drawn = np.bincount(rng.integers(0, count, count), minlength=count)
-        again = np.tensordot(drawn, bundle.normal, axes=1)
+        again = np.tensordot(drawn, normals, axes=1)
         try:
-            step = np.linalg.solve(unit[:, None] * again * unit, unit * (drawn @ bundle.score))
+            step = np.linalg.solve(unit[:, None] * again * unit, unit * (drawn @ scores))
         except np.linalg.LinAlgError:
             continue
         steps.append(unit * step)
@@ -404,24 +400,3 @@ def _warnings(
     if len(fit.whole) < 2 * MIN_VIEWS:
         told.append(f"{len(fit.whole)} views are few; 15 to 25 are good")
     return tuple(told)
-
-
-def _plain(model: LensModel, views: Sequence[BoardView]) -> tuple[float | None, str]:
-    """OpenCV's own calibration of all views, as its tutorial does it: the naive baseline."""
-    height, width = views[0].size_px
-    on_board = [view.corners_m[None].astype(np.float64) for view in views]
-    places = [view.places_px[None].astype(np.float64) for view in views]
-    try:
-        if model == "kannala-brandt":
-            flags = sum(
-                int(getattr(cv2.fisheye, name, None) or getattr(cv2, name))  # OpenCV 4 or 5
-                for name in ("CALIB_RECOMPUTE_EXTRINSIC", "CALIB_CHECK_COND", "CALIB_FIX_SKEW")
-            )
-            start = np.zeros((3, 3)), np.zeros(4)
-            rms, *_ = cv2.fisheye.calibrate(on_board, places, (width, height), *start, flags=flags)
-        else:
-            boards, seen = ([part[0].astype(np.float32) for part in parts] for parts in (on_board, places))
-            rms, *_ = cv2.calibrateCamera(boards, seen, (width, height), None, None)
-    except cv2.error as error:
-        return None, " ".join(str(error).split())[-200:]
-    return (float(rms), "") if math.isfinite(rms) else (None, "its error is not a number")

@@ -137,7 +137,6 @@ def _lens_text(lens: Lens) -> str:
 def _fit_text(fit: LensFit, out: Path, picture: Path) -> str:
     count = len(fit.views) + len(fit.rejected)
     other = fit.other_held_out_px
-    plain = f"{fit.plain_rms_px:.3f} px" if fit.plain_rms_px is not None else f"fails ({fit.plain_failure})"
     numbers: list[Any] = [
         f"  {name:6} {value:12.5g}  +- {fit.standard_errors[name]:.2g} by corners, "
         f"{fit.standard_errors_by_views[name]:.2g} by views (standard errors)"
@@ -150,7 +149,6 @@ def _fit_text(fit: LensFit, out: Path, picture: Path) -> str:
             f"{len(fit.views)} of {count} photographs used; boards cover {fit.coverage:.0%} of the frame",
             f"error {fit.mean_px:.3f} px mean, {fit.rms_px:.3f} px rms, {fit.held_out_px:.3f} px held out",
             f"as {fit.other_model}, held out: {'no fit' if other is None else f'{other:.3f} px'}",
-            f"OpenCV's own calibration of all found views: {plain}",
             *(f"left out {view.name}: {view.reason}" for view in fit.rejected),
             *(f"note: {warning}" for warning in fit.warnings),
             f"{out}, {picture}",

@@ -289,7 +289,6 @@ def _text(record: dict[str, Any]) -> str:
         lines.append(
             f"{'untouched pins, A_c0':22}{record['untouched_area_mm2']:9.4g} mm²     through the lens"
         )
-    lines.append(_shape(record["contact_shape"]))
     lines += [f"flag: {flag}" for flag in dict.fromkeys([*common, *record["flags"]])]
     if readings:
         drift = readings[0]["drift"]
@@ -317,21 +316,6 @@ def _reading(one: dict[str, Any], common: list[str]) -> str:
     return f"{NAMES[one['quantity']]:22}{value:>9} {unit:7} ({ends}, 90 %)  {verdict}"
 
 
-def _shape(shape: dict[str, Any]) -> str:
-    ellipse, flat = shape["ellipse"], shape["flattening"]
-    told = []
-    if "half_axes_px" in ellipse:
-        long, short = ellipse["half_axes_px"]
-        told.append(f"half axes {long:.3g} and {short:.3g} px, {ellipse['visible_share']:.0%} of it in sight")
-    else:
-        told.append(f"no ellipse: {ellipse['why_not']}")
-    if "over_rigid" in flat:
-        told.append(
-            f"flattened {flat['over_rigid']:.2f} times as by a rigid plate, at {flat['force_N']:.3g} N"
-        )
-    return f"{'ring of the contact':22}{'; '.join(told)}"
-
-
 def _ends(low: float | None, high: float | None) -> str:
     return " to ".join("inf" if x is None else f"{x:.3g}" for x in (low, high))
 
@@ -340,48 +324,24 @@ def _compared(record: dict[str, Any]) -> str:
     lines = []
     for cue, one in record["cues"].items():
         means = ", ".join(
-            f"{name} {mean:.3g} ({one['interval_95'][name][0]:.3g} to {one['interval_95'][name][1]:.3g})"
-            for name, mean in one["mean"].items()
+            f"{name} {mean:.3g} ({_ends(*one['interval_95'][name])})" for name, mean in one["mean"].items()
         )
-        worst = max(one["pairs"], key=lambda pair: pair["rank_sum_p"])
         missing = [name for name in record["trials"] if name not in one["mean"]]
-        lines.append(
-            f"{cue}: {means}" + (f"; no two valid readings: {', '.join(missing)}" if missing else "")
-        )
-        lines.append(
-            f"    Kruskal-Wallis p {one['kruskal_p']:.2g} ({one['kruskal_p_all_cues']:.2g} for "
-            f"{len(record['cues'])} cues); least apart {worst['first']}, {worst['second']}: rank-sum p "
-            f"{worst['rank_sum_p']:.2g} (at least {worst['least_p']:.2g} for so many trials)"
-        )
-        lines += _mixed(one.get("mixed_model"))
-        if "interval_90_with_calibration" in one:
-            ends = one["interval_90_with_calibration"].items()
-            told = ", ".join(f"{name} {_ends(low, high)}" for name, (low, high) in ends)
-            lines.append(f"    with the calibration's own error, 90 %: {told}")
-        normal = [p for p in one["lilliefors_p"].values() if p is not None]
-        if normal:
-            lines.append(
-                f"    Gaussian trials, by Kolmogorov and Smirnov's test as Lilliefors has it: least p "
-                f"{min(normal):.2g} of {len(normal)} specimens"
-            )
+        worst = max(one["pairs"], key=lambda pair: pair["rank_sum_p"])
+        test = f"Kruskal-Wallis p {one['kruskal_p']:.2g} ({one['kruskal_p_all_cues']:.2g} for all cues)"
+        least = f"least apart {worst['first']}, {worst['second']}: rank-sum p {worst['rank_sum_p']:.2g}"
+        lines += [
+            f"{cue}: {means}" + (f"; no two valid readings: {', '.join(missing)}" if missing else ""),
+            f"    {test}; {least}",
+            *_mixed(one.get("mixed_model")),
+        ]
     if record["references"]:
         lines.append(f"{', '.join(record['references'])}: references of this calibration, read by it")
-    if "pooled_sums" in record:
-        pooled = record["pooled_sums"]
-        lines.append(
-            f"equation (12) at all frames above 2.5 N, pooled: Kruskal-Wallis p {pooled['kruskal_p']:.2g}"
-        )
-        lines += [f"warning: {warning}" for warning in pooled["warnings"]]
     if "groups" in record:
-        groups = record["groups"]
-        lines.append(
-            f"mixed models: {groups['model']}, by {groups['variances']}; 95 % intervals, degrees of freedom "
-            f"(df): {groups['degrees_of_freedom']}; all pairs: differences.csv"
-        )
-        lines.append(f"warning: {groups['warning']}")
-    lines.append(
-        f"means with Student's 95 % intervals over trials; trials, tests and picture: {record['out']}"
-    )
+        lines.append(f"mixed models: {record['groups']['model']}; all pairs: differences.csv")
+    warnings = [*record.get("pooled_sums", {}).get("warnings", ()), record.get("groups", {}).get("warning")]
+    lines += [f"warning: {warning}" for warning in warnings if warning]
+    lines.append(f"means with Student's 95 % intervals over trials; all tests and picture: {record['out']}")
     return "\n".join(lines)
 
 
@@ -396,36 +356,14 @@ def _mixed(model: dict[str, Any] | None) -> list[str]:
     means = ", ".join(f"{name} {_estimated(one)}" for name, one in model["means"].items())
     least = max(model["pairs"], key=lambda pair: pair["difference"]["p"])
     told = least["difference"]
-    p = f"{told['p']:.2g} ({told['p_all_cues']:.2g} for all pairs of all cues)"
     units = ", ".join(f"{count} of {level}" for level, count in model["units"].items())
+    p = f"{told['p']:.2g} ({told['p_all_cues']:.2g} for all pairs of all cues)"
     return [
         f"    mixed model, {units}: {means}",
         f"    least apart {least['second']} - {least['first']}: {_estimated(told)}, p {p}",
-        f"    variance {_variances(model)}",
         *(f"    note: {note}" for note in model["notes"]),
     ]
 
 
 def _estimated(one: dict[str, Any]) -> str:
     return f"{one['value']:.3g} ({_ends(one['low'], one['high'])}, {one['freedom']:.3g} df)"
-
-
-def _variances(model: dict[str, Any]) -> str:
-    """Each variance with its share as an intraclass correlation."""
-    parts = []
-    for level, variance in model["variance"].items():
-        if level == "within":
-            parts.append(f"within {variance:.2g}")
-            continue
-        share = model["correlation"][level]
-        parts.append(
-            f"between units of {level} "
-            + ("not told" if variance is None else f"{variance:.2g}")
-            + ("" if share is None else f" (intraclass correlation {share:.2f}{_share_ends(model)})")
-        )
-    return ", ".join(parts)
-
-
-def _share_ends(model: dict[str, Any]) -> str:
-    ends = model["correlation_interval"]
-    return "" if ends is None else f", {ends[0]:.2f} to {ends[1]:.2f}"

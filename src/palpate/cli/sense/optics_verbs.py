@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 def flow(
     frames: Annotated[Path, Argument(help="Multi-page TIFF, video, folder of images or run.")],
     out: Annotated[Path, Option(help="Folder to make; must not exist.")],
-    method: Annotated[str, Option(help="horn-schunck, coarse-to-fine, dis or farneback.")] = "horn-schunck",
+    method: Annotated[str, Option(help="horn-schunck or dis.")] = "horn-schunck",
     from_first: Annotated[bool, Option(help="From the first frame, not the one before.")] = False,
     region: Annotated[
         str | None, Option(help="X,Y,WIDTH,HEIGHT of the divergence [px]; without, the moving region.")

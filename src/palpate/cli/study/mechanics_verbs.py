@@ -32,21 +32,17 @@ def hertz(
     Example: palpate mechanics hertz --radius-mm 5 --modulus-kpa 300 --poisson 0.49 --depth-mm 1
     """
     from palpate.mechanics.half_space import hertz as law
-    from palpate.mechanics.half_space.subsurface import greatest_shear
 
     R, skin = radius_mm / 1e3, (modulus_kpa * 1e3, poisson)
     d = _depth(depth_mm, force_n, lambda F: law.depth_from_force(F, R, *skin))
     a, p0 = law.contact_radius(d, R), law.peak_pressure(d, R, *skin)
-    shear, z = greatest_shear(poisson)
-    _print(
-        _scalars(law.force_from_depth(d, R, *skin), d, a)
-        | {
-            "peak_pressure_kPa": p0 / 1e3,
-            "greatest_shear_kPa": shear * p0 / 1e3,
-            "greatest_shear_depth_mm": z * a * 1e3,
-            "law": law.MODEL,
-        }
-    )
+    shear, z = law.greatest_shear(poisson)
+    more = {
+        "peak_pressure_kPa": p0 / 1e3,
+        "greatest_shear_kPa": shear * p0 / 1e3,
+        "greatest_shear_depth_mm": z * a * 1e3,
+    }
+    _print(law.force_from_depth(d, R, *skin), d, a, more, law.MODEL)
 
 
 def sphere(
@@ -68,10 +64,8 @@ def sphere(
     d = _depth(depth_mm, force_n, lambda F: law.sphere_depth_from_force(F, R, *skin))
     a = law.sphere_radius_from_depth(d, R)
     p0 = float(law.sphere_pressure(np.zeros(1), a, R, *skin)[0])
-    _print(
-        _scalars(law.sphere_force_from_radius(a, R, *skin), d, a)
-        | {"peak_pressure_kPa": p0 / 1e3, "law": law.MODEL.format(shape="sphere")}
-    )
+    force = law.sphere_force_from_radius(a, R, *skin)
+    _print(force, d, a, {"peak_pressure_kPa": p0 / 1e3}, law.MODEL.format(shape="sphere"))
 
 
 def punch(
@@ -89,11 +83,7 @@ def punch(
 
     R, skin = radius_mm / 1e3, (modulus_kpa * 1e3, poisson)
     d = _depth(depth_mm, force_n, lambda F: law.punch_depth(F, R, *skin))
-    F = law.punch_force(d, R, *skin)
-    _print(
-        _scalars(F, d, R)
-        | {"mean_pressure_kPa": F / (math.pi * R**2) / 1e3, "law": law.MODEL.format(shape="flat punch")}
-    )
+    _print_mean(law.punch_force(d, R, *skin), d, R, "flat punch")
 
 
 def cone(
@@ -111,9 +101,7 @@ def cone(
 
     alpha, skin = math.radians(half_angle_deg), (modulus_kpa * 1e3, poisson)
     d = _depth(depth_mm, force_n, lambda F: law.cone_depth(F, alpha, *skin))
-    a, F = law.cone_radius(d, alpha), law.cone_force(d, alpha, *skin)
-    mean = F / (math.pi * a**2) if a else 0.0
-    _print(_scalars(F, d, a) | {"mean_pressure_kPa": mean / 1e3, "law": law.MODEL.format(shape="cone")})
+    _print_mean(law.cone_force(d, alpha, *skin), d, law.cone_radius(d, alpha), "cone")
 
 
 def layer(
@@ -124,13 +112,10 @@ def layer(
     poisson: Poisson = 0.5,
     base: Annotated[str, Option(help="bonded or sliding on its base.")] = "bonded",
 ) -> None:
-    """Sphere on a layer over a rigid base: to d/h = 0.2.
-
-    Beside the exact force stand Dimitriadis's series and a half-space.
+    """Sphere on a layer over a rigid base: to d/h = 0.2, and on a half-space.
 
     Example: palpate mechanics layer --radius-mm 5 --thickness-mm 10 --depth-mm 1 --modulus-kpa 300
     """
-    from palpate.core.errors import RangeError
     from palpate.mechanics.half_space.sneddon import sphere_force_from_depth
     from palpate.mechanics.layers import bonded_layer as law
 
@@ -138,129 +123,37 @@ def layer(
     if base not in ("bonded", "sliding"):
         raise InputError(f"base {base!r} is not known; the layer's base is 'bonded' or 'sliding'")
     on: law.Base = "bonded" if base == "bonded" else "sliding"
-    exact = law.sphere_force(d, R, h, *skin, on)
-    answer: Answer = {"force_N": exact, "depth_mm": depth_mm, "sqrt_Rd_over_h_ratio": math.sqrt(R * d) / h}
-    try:
-        answer["dimitriadis_force_N"] = law.dimitriadis_force(d, R, h, *skin, on)
-    except RangeError as e:
-        answer |= {"dimitriadis_force_N": None, "dimitriadis_refused": str(e)}
-    _print(
-        answer
-        | {
+    _print_answer(
+        {
+            "force_N": law.sphere_force(d, R, h, *skin, on),
+            "depth_mm": depth_mm,
             "half_space_force_N": sphere_force_from_depth(d, R, *skin),
             "law": f"rigid sphere, {base} layer, small strain, no friction, a/R <= 0.99, d/h <= 0.2",
         }
     )
 
 
-def jkr(
-    radius_mm: Radius,
-    modulus_kpa: Modulus,
-    adhesion_j_per_m2: Annotated[float, Option(help="Work of adhesion [J/m^2].")],
-    poisson: Poisson = 0.5,
-    depth_mm: Depth = None,
-    force_n: Force = None,
-    range_nm: Annotated[float, Option(help="Range of the surface forces, for Tabor's parameter [nm].")] = 0.3,
-) -> None:
-    """Sphere that sticks to a half-space (Johnson, Kendall, Roberts).
-
-    Says whether that law applies.
-
-    Example: palpate mechanics jkr --radius-mm 5 --modulus-kpa 300 --adhesion-j-per-m2 0.05 --force-n 0.01
-    """
-    from palpate.mechanics.half_space.adhesion import JKR_ABOVE, AdhesiveSphere
-
-    one_of(depth_mm, force_n)
-    ball = AdhesiveSphere(adhesion_j_per_m2, radius_mm / 1e3, modulus_kpa * 1e3, poisson)
-    F = force_n or 0.0 if depth_mm is None else ball.force_from_depth(depth_mm / 1e3)
-    a = ball.radius_from_force(F) if depth_mm is None else ball.radius_from_depth(depth_mm / 1e3)
-    tabor = ball.tabor_parameter(range_nm * 1e-9)
-    _print(
-        _scalars(F, ball.depth_from_radius(a), a)
-        | {
-            "pull_off_force_N": ball.pull_off_force_n,
-            "pull_off_depth_mm": ball.pull_off_depth_m * 1e3,
-            "tabor_ratio": tabor,
-            "applies": tabor > JKR_ABOVE,
-            "law": "JKR: rigid sphere, elastic half-space, small strain, a/R <= 0.5",
-        }
-    )
-
-
-def ting(
-    radius_mm: Radius,
-    depth_mm: Annotated[float, Option(help="Greatest depth past first touch [mm].")],
-    equilibrium_kpa: Annotated[float, Option(help="Modulus after a long time [kPa].")],
-    branch: Annotated[list[str], Option(help="MODULUS_KPA:TIME_S of a branch; give one or more.")],
-    rise_s: Annotated[float, Option(help="Time to the greatest depth [s].")],
-    fall_s: Annotated[float, Option(help="Time back [s].")],
-    hold_s: Annotated[float, Option(help="Time at the greatest depth [s].")] = 0.0,
-    poisson: Poisson = 0.5,
-    samples: Annotated[int, Option(help="Samples of the press, 10 to 100000.")] = 401,
-) -> None:
-    """Sphere pressed into a viscoelastic half-space and back (Ting).
-
-    Both at constant speed.
-
-    Example: palpate mechanics ting --radius-mm 5 --depth-mm 1 --equilibrium-kpa 200 --branch 100:0.5
-    --rise-s 1 --fall-s 1
-    """
-    import numpy as np
-
-    from palpate.mechanics.viscoelastic import Prony, ting as law
-
-    for name, value in (("--rise-s", rise_s), ("--fall-s", fall_s)):
-        if not (value > 0 and math.isfinite(value)):
-            raise InputError(f"{name} is {value} s; give a positive time")
-    if not (hold_s >= 0 and math.isfinite(hold_s)):
-        raise InputError(f"--hold-s is {hold_s} s; give 0 s or more")
-    if not 10 <= samples <= 100_000:
-        raise InputError(f"--samples is {samples}; give 10 to 100000")
-    pairs = [branch_of(text) for text in branch]
-    skin = Prony(equilibrium_kpa * 1e3, tuple(E for E, _ in pairs), tuple(tau for _, tau in pairs))
-    turns = np.array([0.0, rise_s, rise_s + hold_s, rise_s + hold_s + fall_s])
-    t = np.unique(np.append(np.linspace(0, turns[-1], samples), turns))
-    d = np.interp(t, turns, depth_mm / 1e3 * np.array([0.0, 1.0, 1.0, 0.0]))
-    done = law(t, d, radius_mm / 1e3, skin, poisson)
-    lost = int(np.flatnonzero(done.radius_m)[-1]) + 1 if done.radius_m.any() else 0
-    _print(
-        {
-            "greatest_force_N": float(done.force_n.max()),
-            "force_before_return_N": float(np.interp(turns[2], t, done.force_n)),
-            "contact_lost_at_s": float(t[min(lost, len(t) - 1)]),
-            "contact_lost_at_depth_mm": float(d[min(lost, len(t) - 1)] * 1e3),
-            "loss_mJ": done.loss_j * 1e3,
-            "law": "Ting: rigid sphere, viscoelastic half-space, small strain, no friction, a/R <= 0.5",
-        }
-    )
-
-
-def _print(answer: Answer) -> None:
-    print_found(answer, "\n".join(f"{name} = {_text(value)}" for name, value in answer.items()))
-
-
-def branch_of(text: str) -> tuple[float, float]:
-    """Modulus [Pa] and relaxation time [s] from ``KPA:SECONDS``."""
-    modulus, _, time = text.partition(":")
-    try:
-        return float(modulus) * 1e3, float(time)
-    except ValueError:
-        raise InputError(f"branch {text!r} is not MODULUS_KPA:TIME_S, as in 100:0.5") from None
-
-
-def one_of(depth_mm: float | None, force_n: float | None) -> None:
-    """Refuse neither, and both."""
+def _depth(depth_mm: float | None, force_n: float | None, of_force: Callable[[float], float]) -> float:
     if (depth_mm is None) == (force_n is None):
         raise InputError("give either --depth-mm or --force-n, and not both")
-
-
-def _depth(depth_mm: float | None, force_n: float | None, of_force: Callable[[float], float]) -> float:
-    one_of(depth_mm, force_n)
     return depth_mm / 1e3 if depth_mm is not None else of_force(force_n or 0.0)
 
 
-def _scalars(force_n: float, depth_m: float, radius_m: float) -> Answer:
-    return {"force_N": force_n, "depth_mm": depth_m * 1e3, "contact_radius_mm": radius_m * 1e3}
+def _print_mean(force_n: float, depth_m: float, radius_m: float, shape: str) -> None:
+    """Print a press whose peak pressure is infinite, by its mean pressure."""
+    from palpate.mechanics.half_space.sneddon import MODEL
+
+    mean = force_n / (math.pi * radius_m**2) if radius_m else 0.0
+    _print(force_n, depth_m, radius_m, {"mean_pressure_kPa": mean / 1e3}, MODEL.format(shape=shape))
+
+
+def _print(force_n: float, depth_m: float, radius_m: float, more: dict[str, float], law: str) -> None:
+    scalars = {"force_N": force_n, "depth_mm": depth_m * 1e3, "contact_radius_mm": radius_m * 1e3}
+    _print_answer({**scalars, **more, "law": law})
+
+
+def _print_answer(answer: Answer) -> None:
+    print_found(answer, "\n".join(f"{name} = {_text(value)}" for name, value in answer.items()))
 
 
 def _text(value: object) -> str:

@@ -27,7 +27,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import islice
-from typing import Literal, NoReturn
+from typing import Literal
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -52,10 +52,6 @@ MIN_BINS = 3
 PAPER_COUNTS_FRAMES = (
     "equation (12) adds one slope a frame: its value grows with the number of frames, so with the frame "
     "rate, with slowness and with softness itself; compare presses of equal frames and speed only"
-)
-LITERAL = (
-    "equation (8) as printed adds divergence over all {pixels} pixels, which counts the area twice; its "
-    "exponential in (11) reaches e^{exponent:.0f}{beyond}; take 'paper', which has the mean divergence"
 )
 MAX_EXPONENT = 700.0  # of e in double precision
 
@@ -125,15 +121,6 @@ def summed_slopes(force_n: Steps, area: Steps) -> float:
     return float((np.diff(area)[changes] / np.diff(force_n)[changes]).sum())
 
 
-def refuse_literal(force_n: Steps, mean_divergence: Steps, pixels: int) -> NoReturn:
-    """Refuse equations (8) and (11) as printed, with the exponent that they would reach."""
-    exponent = float(np.abs(pixels * np.cumsum(mean_divergence) * force_n).max())
-    beyond = ", beyond double precision" if exponent > MAX_EXPONENT else ""
-    raise InputError(
-        LITERAL.format(pixels=pixels, exponent=exponent, beyond=beyond), code="equation-overflow"
-    )
-
-
 MAX_DEGREE = 2
 MAX_GROWTH = 1.5  # e-folds of the spread for each standard deviation of the references' rates
 MAX_Z = 2.0  # standard deviations from the references' middle: farther the spread grows no more
@@ -155,7 +142,7 @@ class RateFit:
         freedom: Trials less coefficients.
         between: RMS error of predicting references from the others, used as a bound.
         growth: Slope of log spread along the standardized rate.
-        means: Mean true rate of each reference; None in earlier calibrations.
+        means: Mean true rate of each reference.
     """
 
     middle: float
@@ -165,14 +152,12 @@ class RateFit:
     spread: float
     freedom: int
     between: float
-    growth: float = 0.0
-    means: Float[ndarray, " k"] | None = None
+    growth: float
+    means: Float[ndarray, " k"]
 
     @property
-    def known(self) -> tuple[float, float] | None:
+    def known(self) -> tuple[float, float]:
         """Range of valid intervals: the references and `MARGIN` of their span."""
-        if self.means is None:
-            return None
         low, high = np.log([self.means.min(), self.means.max()])
         beyond = MARGIN * (high - low)
         return float(np.exp(low - beyond)), float(np.exp(high + beyond))

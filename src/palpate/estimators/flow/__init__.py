@@ -1,3 +1,3 @@
-"""Optical flow of touch images: Horn and Schunck, coarse to fine, and OpenCV's methods."""
+"""Optical flow of touch images: Horn and Schunck, and OpenCV's dense inverse search."""
 
 __all__: list[str] = []

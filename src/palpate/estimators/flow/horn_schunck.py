@@ -1,4 +1,4 @@
-"""Dense optical flow by Horn and Schunck, in single precision, plain and from coarse to fine.
+"""Dense optical flow by Horn and Schunck, in single precision.
 
 Jacobi iterations move the neighbors' average (4 nearest 1/6, 4 diagonal 1/12) towards constant brightness:
 
@@ -7,13 +7,10 @@ Jacobi iterations move the neighbors' average (4 nearest 1/6, 4 diagonal 1/12) t
 E_x, E_y, E_t are means of four differences on the cube of two frames, half a pixel right of and below their
 pixel. Black is 0 and the greatest value of the image's type is 1, which fixes the unit of alpha. Information
 travels one pixel an iteration: use at least as many as the widest even patch has pixels (26 px TacTip pins).
-Coarse to fine, each image is warped by the flow so far, smoothness holds for the whole flow, and a median
-filters it between warps. Kernels release the GIL.
+For motion of more than a pixel use OpenCV's `dis`. Kernels release the GIL.
 
-References: B. K. P. Horn, B. G. Schunck, Determining optical flow, Artificial Intelligence 17 (1981) 185-203,
-doi:10.1016/0004-3702(81)90024-2, sections 7 and 8; for warps and median, D. Sun,
-S. Roth, M. J. Black, A quantitative analysis of current practices in optical flow estimation, IJCV 106 (2014)
-115, doi:10.1007/s11263-013-0644-x.
+Reference: B. K. P. Horn, B. G. Schunck, Determining optical flow, Artificial Intelligence 17 (1981) 185-203,
+doi:10.1016/0004-3702(81)90024-2, sections 7 and 8.
 
 Flow along a sequence of frames, with speed and divergence; pairs are shared among threads.
 """
@@ -121,9 +118,6 @@ def flow(
     first: Grey,
     second: Grey,
     settings: HornSchunck = AS_REPORTED,
-    *,
-    about: FlowField | None = None,
-    mask: Bool[ndarray, "h w"] | None = None,
 ) -> FlowField:
     """Return the flow (u along columns, v along rows) from the first image to the second [px/frame].
 
@@ -132,8 +126,6 @@ def flow(
     Args:
         first, second: Gray images of one size and type.
         settings: Smoothness and iterations.
-        about: Flow that the second image was warped by, where the iterations start.
-        mask: Pixels where the second image is valid; elsewhere only smoothness counts.
 
     Example:
         >>> still = np.zeros((20, 20), np.uint8)
@@ -154,12 +146,6 @@ def flow(
         levels[:, w] = image[:, -1]
     flow_kernels.coefficients(a, b, w, np.float32(0.25 / white), np.float32(settings.alpha**2), e)
     field = np.zeros((2, h, w), np.float32)
-    e_x, e_y, e_t = (e[:, i, :w] for i in range(3))
-    if mask is not None:
-        e[:, :, :w] *= mask[:, None]
-    if about is not None:
-        e_t -= e_x * about[0] + e_y * about[1]
-        field[:] = about
     flow_kernels.relax(e, settings.iterations, rows, field)
     return field
 
@@ -177,89 +163,6 @@ def divergence(field: FlowField) -> Float32[ndarray, "h w"]:
     out = np.empty(field.shape[1:], np.float32)
     flow_kernels.diverge(np.ascontiguousarray(field, np.float32), out)
     return out
-
-
-WARPED = HornSchunck(alpha=0.03, iterations=40)  # smoothness for images that are nearly alike
-
-Levels = Float32[ndarray, "_ _"]  # of any size: each level has its own
-
-
-@dataclass(frozen=True)
-class CoarseToFine:
-    """Settings of the coarse-to-fine flow.
-
-    Attributes:
-        shrink: Size ratio of a coarser image to the finer one.
-        smallest_px: Least side of the coarsest image.
-        warps: Number of warps on each level.
-        median_px: Width of the median filter between warps, 3 or 5; 1 for none.
-    """
-
-    horn_schunck: HornSchunck = WARPED
-    shrink: float = 0.5
-    smallest_px: int = 16
-    warps: int = 10
-    median_px: int = 5
-
-    def __post_init__(self) -> None:
-        if not 0.3 <= self.shrink <= 0.9:
-            raise RangeError(f"each level is {self.shrink} times the finer one; 0.3 to 0.9, 0.5 if in doubt")
-        if self.smallest_px < 8 or self.warps < 1:
-            raise RangeError(
-                f"{self.warps} warps, coarsest image {self.smallest_px} px; 1 or more, 8 px or more"
-            )
-        if self.median_px not in (1, 3, 5):
-            raise RangeError(f"a median {self.median_px} px wide; 1 (none), 3 or 5", code="median-width")
-
-
-def coarse_to_fine(first: Grey, second: Grey, settings: CoarseToFine | None = None) -> FlowField:
-    """Return the flow from the first image to the second, of any length [px]."""
-    settings = settings or CoarseToFine()
-    first, second = np.asarray(first), np.asarray(second)
-    check_pair(first, second)
-    levels = _pyramid(first, second, settings)
-    estimate = np.zeros((2, *levels[-1][0].shape), np.float32)
-    for a, b in reversed(levels):
-        estimate = _enlarged(estimate, a.shape)
-        for _ in range(settings.warps):
-            estimate = _refined(a, b, estimate, settings)
-    return estimate
-
-
-def _pyramid(first: Grey, second: Grey, settings: CoarseToFine) -> list[tuple[Levels, Levels]]:
-    """Pair at every size, finest first."""
-    pair = [brightness(image).astype(np.float32) for image in (first, second)]
-    levels = [(pair[0], pair[1])]
-    sigma = 0.5 / settings.shrink  # of a blur that leaves little above the coarser image's resolution
-    while min(levels[-1][0].shape) * settings.shrink >= settings.smallest_px:
-        h, w = (round(settings.shrink * n) for n in levels[-1][0].shape)
-        a, b = (
-            cv2.resize(cv2.GaussianBlur(x, (0, 0), sigma), (w, h), interpolation=cv2.INTER_LINEAR)
-            for x in levels[-1]
-        )
-        levels.append((a, b))
-    return levels
-
-
-def _enlarged(coarse: Float32[ndarray, "2 _ _"], shape: tuple[int, ...]) -> FlowField:
-    h, w = shape
-    per_axis = (w / coarse.shape[2], h / coarse.shape[1])
-    return np.stack(
-        [cv2.resize(part, (w, h)) * np.float32(k) for part, k in zip(coarse, per_axis, strict=True)]
-    )
-
-
-def _refined(a: Levels, b: Levels, estimate: FlowField, settings: CoarseToFine) -> FlowField:
-    """Flow after warping the second image by it once."""
-    h, w = a.shape
-    y, x = np.mgrid[:h, :w].astype(np.float32)
-    at_x, at_y = x + estimate[0], y + estimate[1]
-    warped = cv2.remap(b, at_x, at_y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE).clip(0, 1)
-    inside = (at_x >= 0) & (at_x <= w - 1) & (at_y >= 0) & (at_y <= h - 1)
-    estimate = flow(a, warped, settings.horn_schunck, about=estimate, mask=inside)
-    if settings.median_px == 1:
-        return estimate
-    return np.stack([cv2.medianBlur(part, settings.median_px) for part in estimate])
 
 
 FASTEST = 0.99  # quantile of the speed that counts as the greatest: single pixels at edges claim more
@@ -323,16 +226,6 @@ def dis(first: Grey, second: Grey) -> FlowField:
     return _planes(method.calc(a, b, None))
 
 
-def farneback(first: Grey, second: Grey) -> FlowField:
-    """Return Farnebäck's flow, 3 levels, window 15 px [px/frame]; doi:10.1007/3-540-45103-X_50."""
-    a, b = _eight_bit_pair(first, second)
-    return _planes(
-        cv2.calcOpticalFlowFarneback(
-            a, b, None, pyr_scale=0.5, levels=3, winsize=15, iterations=3, poly_n=5, poly_sigma=1.2, flags=0
-        )
-    )
-
-
 def _eight_bit_pair(first: Grey, second: Grey) -> tuple[Grey, Grey]:
     check_pair(first, second)
     a, b = (np.round(255 * brightness(image)).astype(np.uint8) for image in (first, second))
@@ -345,9 +238,7 @@ def _planes(field: np.ndarray) -> FlowField:
 
 METHODS: dict[str, Callable[[Grey, Grey], FlowField]] = {
     "horn-schunck": flow,
-    "coarse-to-fine": coarse_to_fine,
     "dis": dis,
-    "farneback": farneback,
 }
 
 

@@ -11,7 +11,7 @@ cross (Förstner and Gülch 1987), with a standard error from the gradients and 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -327,13 +327,11 @@ class CheckerboardFind:
     Attributes:
         axis: Line of the two pigments, by which later frames are read.
         pitch: Median side of a tile [px].
-        unnamed: Number of corners outside the named lattice.
     """
 
     points: ControlPoints
     axis: PigmentAxis
     pitch: float
-    unnamed: int = field(default=0)
 
 
 def find_checkerboard(
@@ -363,7 +361,7 @@ def find_checkerboard(
             f"{MIN_POINTS} are needed; check focus, light, and the pitch of {pitch_px:.0f} px"
         )
     points = _first_names(corners, lattices[0]) if reference is None else _same(corners, lattices, reference)
-    return CheckerboardFind(points, axis, lattices[0].pitch, len(corners.places) - len(points))
+    return CheckerboardFind(points, axis, lattices[0].pitch)
 
 
 def _first_names(corners: SaddleCorners, lattice: GrownLattice) -> ControlPoints:

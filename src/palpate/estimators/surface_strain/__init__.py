@@ -5,7 +5,6 @@ from palpate.estimators.surface_strain.spline_surface import SurfaceBasis, surfa
 from palpate.estimators.surface_strain.strain_fields import (
     EdgeDirection,
     ShearMeasure,
-    StrainErrors,
     StrainFields,
     StrainMeter,
     axial_difference,
@@ -25,7 +24,7 @@ from palpate.estimators.surface_strain.traction_recovery import (
 
 __all__ = [
     "ContactPeak", "EdgeDirection", "PatternedSkin", "RecoveredTraction", "ShearMeasure", "ShearRing",
-    "StrainErrors", "StrainFields", "StrainMeter", "SurfaceBasis", "axial_difference",
+    "StrainFields", "StrainMeter", "SurfaceBasis", "axial_difference",
     "contact_peaks", "edge_direction", "find_rings", "on_plane", "published_force_n", "published_gamma",
     "recover_traction", "shear_from_pressure", "shear_measure", "strain_fields", "surface_basis",
 ]  # fmt: skip

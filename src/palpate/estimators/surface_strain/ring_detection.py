@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -50,28 +50,23 @@ class ShearRing:
 
     Attributes:
         radius: Radius of greatest outward motion.
-        width: Width over which outward motion exceeds half of that.
         outward: Greatest outward shift.
         around: Greatest shift around the center, positive from x towards y.
         along: Shift of the center (x, y).
-        misfit: RMS residual of marks within twice the radius.
     """
 
     x: float
     y: float
     radius: float
-    width: float
     outward: float
     around: float
     along: tuple[float, float]
     x_error: float
     y_error: float
     radius_error: float
-    width_error: float
     outward_error: float
     around_error: float
     along_error: tuple[float, float]
-    misfit: float
 
 
 class ContactPeak(NamedTuple):
@@ -149,7 +144,7 @@ def find_rings(fields: StrainFields, peaks: list[ContactPeak] | None = None) -> 
         p = params[part]
         alike = max(1.0, 2 * math.pi * math.exp(2 * p[2]) / (2 * p[3] - 1))  # marks within sqrt(2) radii
         C = inverse[part, part] * (noise + alike * excess)
-        ring = _ring(p, C, pitch, at, off)
+        ring = _ring(p, C, pitch)
         if ring.outward > MIN_SIGNIFICANCE * ring.outward_error:
             rings.append(ring)
     return rings
@@ -273,40 +268,19 @@ def _fit(at: Points, shifts: Points, params: Params) -> tuple[Params, Float[ndar
     return (params, covariance, off) if inside and (np.diag(covariance) > 0).all() else None
 
 
-def _ring(p: Params, covariance: Float[ndarray, "p p"], pitch: float, at: Points, off: Points) -> ShearRing:
+def _ring(p: Params, covariance: Float[ndarray, "p p"], pitch: float) -> ShearRing:
     values = _sizes(p[:, None])[:, 0]
     step = 1e-4 * np.eye(PER_RING)
     slopes = (_sizes(p[:, None] + step) - _sizes(p[:, None] - step)) / 2e-4
     errors = np.sqrt(np.diag(slopes @ covariance @ slopes.T)) * pitch
-    near = np.hypot(*(at - p[:2]).T) < 2 * values[2]
-    misfit = math.sqrt(float((off[near] ** 2).mean())) * pitch if near.any() else math.nan
-    x, y, radius, width, outward, around, *along = (values * pitch).tolist()
-    ex, ey, er, ew, eo, ea, *el = errors.tolist()
-    return ShearRing(
-        x, y, radius, width, outward, around, tuple(along), ex, ey, er, ew, eo, ea, tuple(el), misfit
-    )
+    x, y, radius, outward, around, *along = (values * pitch).tolist()
+    ex, ey, er, eo, ea, *el = errors.tolist()
+    return ShearRing(x, y, radius, outward, around, tuple(along), ex, ey, er, eo, ea, tuple(el))
 
 
-def _sizes(p: Float[ndarray, "p m"]) -> Float[ndarray, "p m"]:
-    """Center, radius, width, and the three shifts of rings, each a column [pitch]."""
+def _sizes(p: Float[ndarray, "8 m"]) -> Float[ndarray, "7 m"]:
+    """Center, radius, and the four shifts of rings, each a column [pitch]."""
     s, q = np.exp(p[2]), p[3]
     radius = 1 / np.sqrt(2 * q - 1)
     top = radius * (1 + radius**2) ** -q
-    return np.stack([p[0], p[1], s * radius, s * _half_width(q), p[4] * top, p[5] * top, p[6], p[7]])
-
-
-def _half_width(q: Params) -> Params:
-    """Width [s] between the radii at which r (1 + r^2)^-q is half its maximum."""
-    return np.interp(q, *_half_widths())
-
-
-@cache
-def _half_widths() -> tuple[Params, Params]:
-    powers, widths = np.linspace(*POWERS, 1500), []
-    for q in powers:
-        peak = 1 / math.sqrt(2 * q - 1)
-        inner, outer = np.linspace(0, peak, 400), peak * np.geomspace(1, 1000, 800)
-        half = peak * (1 + peak**2) ** -q / 2
-        low = np.interp(half, inner * (1 + inner**2) ** -q, inner)
-        widths.append(np.interp(-half, -outer * (1 + outer**2) ** -q, outer) - low)
-    return powers, np.array(widths)
+    return np.stack([p[0], p[1], s * radius, p[4] * top, p[5] * top, p[6], p[7]])

@@ -72,19 +72,6 @@ class SurfaceBasis:
         Nu, Nv = self._rows(operator)
         return np.asarray(Nv @ net @ Nu.T)
 
-    def covariance(
-        self, one: Operator, other: Operator, variance: Float[ndarray, " n"]
-    ) -> Float[ndarray, "nv nu"]:
-        """Return the covariance A Sigma B' of two operators at each sample, by variances [unit^2]."""
-        rows, columns, n = self.fitting.shape
-        fitting = self.fitting.reshape(-1, n)
-        of_net = ((fitting * variance) @ fitting.T).reshape(rows, columns, rows, columns)
-        (Au, Av), (Bu, Bv) = self._rows(one), self._rows(other)
-        columns_left = np.tensordot(Au, of_net, (1, 1))  # [nu rows rows' columns']
-        along = np.einsum("irsc,ic->irs", columns_left, Bu).reshape(len(Au), -1)
-        across = (Av[:, :, None] * Bv[:, None, :]).reshape(len(Av), -1)
-        return np.asarray(across @ along.T)
-
     def _rows(self, operator: Operator) -> tuple[Rows, Rows]:
         return self.along_u[operator == "u"], self.along_v[operator == "v"]
 

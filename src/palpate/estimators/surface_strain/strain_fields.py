@@ -1,15 +1,11 @@
-"""Displacement gradient and strain of a skin's pattern, with errors from the marks' noise.
+"""Displacement gradient and strain of a skin's pattern.
 
 Reference and current marks make two surfaces X(u, v) and x(u, v) of one basis. With displacement U = x - X,
 
     H = dU/dX = (dU/du, dU/dv) (dX/du, dX/dv)^-1,     F = 1 + H.
 
 Small strain is e = (H + H')/2 and rotation (H_yx - H_xy)/2; E = (F'F - 1)/2 and the polar rotation hold for
-large ones. To first order dF = d(dx) J^-1 - F d(dX) J^-1 with J = dX/d(u, v), so that
-
-    cov(H_ij, H_kl) = d_ik [A_j S A_l'] + (F F')_ik [A_j R A_l'],
-
-with S and R the variances of current and reference marks and A_j the operator of d/dX_j.
+large ones.
 
 Reference: G. A. Holzapfel, Nonlinear Solid Mechanics (2000), sections 2.2 to 2.5, ISBN 978-0-471-82319-3.
 
@@ -56,17 +52,6 @@ class PrincipalStrains(NamedTuple):
     direction_rad: Grid
 
 
-class StrainErrors(NamedTuple):
-    """Standard errors of these fields; principal ones hold if the greatest shear is significant."""
-
-    shear: Grid
-    area_strain: Grid
-    rotation_rad: Grid
-    greatest: Grid
-    least: Grid
-    direction_rad: Grid
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class StrainFields:
     """Strain of a pattern at the samples of a surface; NaN where marks are missing.
@@ -102,12 +87,6 @@ class StrainFields:
         return self.gradient[0, 0] + self.gradient[1, 1]
 
     @property
-    def area_ratio(self) -> Grid:
-        """Area ratio at any strain, det F."""
-        (xx, xy), (yx, yy) = self.gradient
-        return (1 + xx) * (1 + yy) - xy * yx
-
-    @property
     def rotation_rad(self) -> Grid:
         """Small rotation from x towards y, (H_yx - H_xy)/2 [rad]."""
         return (self.gradient[1, 0] - self.gradient[0, 1]) / 2
@@ -122,51 +101,6 @@ class StrainFields:
         xx, yy, shear = self.gradient[0, 0], self.gradient[1, 1], self.shear
         middle, radius = (xx + yy) / 2, np.hypot(xx - yy, shear) / 2
         return PrincipalStrains(middle + radius, middle - radius, np.arctan2(shear, xx - yy) / 2)
-
-    def gradient_covariance(self) -> Float[ndarray, "2 2 2 2 nv nu"]:
-        """Return the covariance of H_ij and H_kl at each sample ``[i j k l nv nu]``."""
-        now, rest = (self._covariance_along_axes(variance) for variance in self.variances[::-1])
-        F = self.gradient + np.eye(2)[:, :, None, None]
-        FF = np.einsum("im...,km...->ik...", F, F)
-        return np.asarray(
-            np.einsum("ik,jlvu->ijklvu", np.eye(2), now) + np.einsum("ikvu,jlvu->ijklvu", FF, rest)
-        )
-
-    def _covariance_along_axes(self, variance: Float[ndarray, " n"]) -> Float[ndarray, "2 2 nv nu"]:
-        """A_j Sigma A_l' of one component, for derivatives along x and y."""
-        covariance = self.basis.covariance
-        uu, uv, vv = (
-            covariance("u", "u", variance),
-            covariance("u", "v", variance),
-            covariance("v", "v", variance),
-        )
-        by_parameters = np.stack([np.stack([uu, uv]), np.stack([uv, vv])])
-        return np.asarray(np.einsum("aj...,ab...,bl...->jl...", self.to_axes, by_parameters, self.to_axes))
-
-    def errors(self) -> StrainErrors:
-        """Return standard errors of the fields, to first order in the noise."""
-        covariance = self.gradient_covariance()
-        angle = self.principal().direction_rad
-        c, s, zero, one = np.cos(angle), np.sin(angle), np.zeros_like(angle), np.ones_like(angle)
-        with np.errstate(divide="ignore"):
-            turning = 1 / self.greatest_shear
-        weights = (
-            ((zero, one), (one, zero)),
-            ((one, zero), (zero, one)),
-            ((zero, -one / 2), (one / 2, zero)),
-            ((c * c, c * s), (c * s, s * s)),
-            ((s * s, -c * s), (-c * s, c * c)),
-            (
-                (-c * s * turning, (c * c - s * s) * turning / 2),
-                ((c * c - s * s) * turning / 2, c * s * turning),
-            ),
-        )
-        return StrainErrors(*(_error(covariance, np.array(w)) for w in weights))
-
-
-def _error(covariance: Float[ndarray, "2 2 2 2 nv nu"], weights: Float[ndarray, "2 2 nv nu"]) -> Grid:
-    """Standard error of the sum of weights times H."""
-    return np.sqrt(np.einsum("ij...,ijkl...,kl...->...", weights, covariance, weights, optimize=True))
 
 
 class _Rest(NamedTuple):

@@ -17,7 +17,7 @@ Squares Problems (1974), chapter 23, for loads that are never negative, doi:10.1
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal, get_args, no_type_check
 
@@ -36,8 +36,8 @@ from palpate.estimators.surface_strain.ring_detection import (
     stretch_over_noise,
 )
 from palpate.estimators.surface_strain.strain_fields import StrainFields
-from palpate.mechanics.layers.influence import Cells, spread
-from palpate.mechanics.layers.stack import Stack, climb
+from palpate.mechanics.layers.influence import plane_response
+from palpate.mechanics.layers.stack import Stack
 
 Closure = Literal["frictionless", "coulomb", "bonded"]
 Matrix = Float[ndarray, "_ _"]
@@ -93,9 +93,7 @@ class RecoveredTraction:
         axis_rad: Principal axis of the pressure, from x towards y; its error is infinite for a round contact.
         elongation: Length over width of the pressure (standard deviations).
         moved: Shift of the pattern at the center along x and y [m], and its rotation from x to y [rad].
-        sinking_m: Motion of the pattern towards the camera at the center [m].
         torque_nm: Moment of the shear about the center of pressure, from x towards y [N m].
-        resolution_m: Full width at half maximum of a recovered point load [m].
         unexplained_m: Residual shift of each mark ``[n 2]`` [m].
         misfit: RMS of the residuals over their standard error.
     """
@@ -113,18 +111,11 @@ class RecoveredTraction:
     elongation: float
     moved: tuple[float, ...]
     moved_error: tuple[float, ...]
-    sinking_m: float
     lateral_n: tuple[float, float]
     torque_nm: float
-    resolution_m: float
     unexplained_m: Points
     misfit: float
     closure: str
-
-    @property
-    def friction_used(self) -> float:
-        """Lateral over normal force; the contact slides at Coulomb's coefficient."""
-        return math.hypot(*self.lateral_n) / self.force_n
 
 
 def recover_traction(
@@ -195,7 +186,6 @@ def recover_traction(
         *_amid(_middle_motion(skin, nodes - centre, spacing) @ to_loads, loads, used, inverse),
         (area * float(qx.sum()), area * float(qy.sum())),
         area * float((arms[:, 0] * qy - arms[:, 1] * qx).sum()),
-        _spread_of(G[2], smooth, int(np.argmax(p)), spacing),
         ((seen - moving @ loads) / weight).reshape(2, -1).T,
         math.sqrt(float(((moving @ loads - seen) ** 2).mean())),
         closure,
@@ -203,16 +193,13 @@ def recover_traction(
 
 
 def _middle_motion(skin: PatternedSkin, away: Points, spacing: float) -> Matrix:
-    """Shift, rotation, and sinking of the pattern amid nodes under unit loads q_x, q_y, and p."""
+    """Shift and rotation of the pattern amid nodes under unit loads q_x, q_y, and p."""
     h = spacing / 2
     at = 1 + h * np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
-    flat, near = (
-        np.concatenate(_motion(replace(skin, camera_m=D), skin.interface, at, away + 1, spacing), axis=1)
-        for D in (math.inf, 1.0)
-    )
-    x, y = flat[:5], flat[5:]
-    turn = (y[1] - y[2] - x[3] + x[4]) / (4 * h)
-    return np.stack([x[0], y[0], turn, near[0] - flat[0]])  # at x = 1, a camera 1 m away sees the sinking
+    flat = PatternedSkin(skin.stack, skin.interface)
+    moved = np.concatenate(_motion(flat, skin.interface, at, away + 1, spacing), axis=1)
+    x, y = moved[:5], moved[5:]
+    return np.stack([x[0], y[0], (y[1] - y[2] - x[3] + x[4]) / (4 * h)])
 
 
 def _principal_axis(
@@ -231,12 +218,11 @@ def _principal_axis(
 
 def _amid(
     motion: Matrix, loads: Float[ndarray, " _"], used: ndarray, inverse: Matrix
-) -> tuple[tuple[float, ...], tuple[float, ...], float]:
-    """Shift and rotation of the center with standard errors, and its sinking."""
-    values = (motion @ loads).tolist()
+) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Shift and rotation of the center, with standard errors."""
     of_used = motion[:, used]
-    errors = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", of_used, inverse, of_used), 0.0)).tolist()
-    return tuple(values[:3]), tuple(errors[:3]), values[3]
+    errors = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", of_used, inverse, of_used), 0.0))
+    return tuple((motion @ loads).tolist()), tuple(errors.tolist())
 
 
 def _closed(
@@ -366,23 +352,13 @@ def _seen_motion(knots, at, nodes, tilt, cell, first_load):
 @lru_cache(maxsize=8)
 def _node_motion(stack: Stack, interface: int, spacing: float) -> Float[ndarray, "side side load component"]:
     """Cubic splines of the motion about a node whose load falls to 0 at its neighbors."""
-    waves = spread(Cells(SIDE, SIDE, CELL_M, CELL_M), 0.0)
-    in_plane, across = climb(stack.slabs, stack.below, waves.k)
-    one, other = in_plane[interface], across[interface]
-    CR = one.compliance @ one.transmission / waves.k[:, None, None]
-    cr = (other.compliance @ other.transmission)[:, 0, 0] / waves.k
-    on, c, s = waves.gather, waves.cos, waves.sin
-    along, sideways, coupled, lifted = on(CR[:, 0, 0]), on(cr), on(CR[:, 0, 1]), on(CR[:, 1, 0])
-    xx, yy, zz = c * c * along + s * s * sideways, s * s * along + c * c * sideways, on(CR[:, 1, 1])
-    zz[0, 0] = waves.mean_wave(CR[:, 1, 1])
-    xx[0, 0] = yy[0, 0] = waves.mean_wave((CR[:, 0, 0] + cr) / 2)
-    xy = c * s * (along - sideways)
+    plane = plane_response(stack, interface, SIDE, CELL_M)
     k_x, k_y = fft.rfftfreq(SIDE, CELL_M), fft.fftfreq(SIDE, CELL_M)[:, None]
     hat = (np.sinc(k_x * spacing) * np.sinc(k_y * spacing) * spacing / CELL_M) ** 2
     responses = (
-        (xx, xy, 1j * c * coupled),
-        (xy, yy, 1j * s * coupled),
-        (-1j * c * lifted, -1j * s * lifted, zz),
+        (plane.xx, plane.xy, 1j * plane.pressed_x),
+        (plane.xy, plane.yy, 1j * plane.pressed_y),
+        (-1j * plane.lifted_x, -1j * plane.lifted_y, plane.zz),
     )
     splines = [
         [
@@ -392,10 +368,3 @@ def _node_motion(stack: Stack, interface: int, spacing: float) -> Float[ndarray,
         for load in range(3)
     ]
     return np.ascontiguousarray(np.moveaxis(np.array(splines), (0, 1), (2, 3)))
-
-
-def _spread_of(G: Matrix, smooth: Matrix, node: int, spacing: float) -> float:
-    """Full width at half maximum of one node's recovered pressure, without the bound at 0 [m]."""
-    normal = G.T @ G
-    back = np.linalg.solve(normal + smooth.T @ smooth, normal[:, node])
-    return math.sqrt(4 / math.pi * int((back > back.max() / 2).sum())) * spacing

@@ -12,12 +12,14 @@ With the elastic law d(F, E) and the creep C(t) = int_0^t J(t - s) dF(s), E_eff(
 d(t) = d(F(t), E_eff(t)) is solved for F at every sample: exact for Hertz contacts that do not shrink (Lee and
 Radok), and quasi-linear viscoelasticity otherwise.
 
-References: E. H. Lee and J. R. M. Radok, J. Appl. Mech. 27 (1960) 438, doi:10.1115/1.3644020; Y. C. Fung,
-Biomechanics (1993), ch. 7, doi:10.1007/978-1-4757-2257-4.
+References: R. M. Christensen, Theory of Viscoelasticity (1982), ch. 1, Academic Press; E. H. Lee and J. R. M.
+Radok, J. Appl. Mech. 27 (1960) 438, doi:10.1115/1.3644020; Y. C. Fung, Biomechanics (1993), ch. 7,
+doi:10.1007/978-1-4757-2257-4.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -28,8 +30,8 @@ import scipy.sparse.linalg as spl
 from scipy.optimize import brentq
 from skfem import CellBasis, ElementQuad2, MeshQuad, MeshQuad2
 
-from palpate.core import Float, InputError, Int, ndarray
-from palpate.mechanics.viscoelastic import Prony
+from palpate.core import Float, InputError, Int, RangeError, ndarray
+from palpate.mechanics.half_space.hertz import positive
 
 GAUSS_ORDER = 5  # three points per direction
 
@@ -134,6 +136,56 @@ class RevolvedBody:
         nu = self.poisson_ratio
         mu = (self.youngs_modulus_pa / (2 * (1 + nu)))[:, None, None]
         return mu, 2 * mu * nu / (1 - 2 * nu)
+
+
+@dataclass(frozen=True, slots=True)
+class Prony:
+    """A relaxation modulus E(t) = E_inf + sum_i E_i exp(-t / tau_i).
+
+    Attributes:
+        equilibrium_pa: E_inf, positive [Pa].
+        moduli_pa: E_i, positive [Pa].
+        times_s: tau_i, positive [s].
+    """
+
+    equilibrium_pa: float
+    moduli_pa: tuple[float, ...]
+    times_s: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        positive("the equilibrium modulus", self.equilibrium_pa, "Pa")
+        if len(self.moduli_pa) != len(self.times_s):
+            raise RangeError(
+                f"{len(self.moduli_pa)} moduli and {len(self.times_s)} relaxation times do not pair up; give "
+                "one time in s for each modulus in Pa"
+            )
+        for modulus, time in zip(self.moduli_pa, self.times_s, strict=True):
+            positive("a branch's modulus", modulus, "Pa")
+            positive("a relaxation time", time, "s")
+
+    @property
+    def instantaneous_pa(self) -> float:
+        """E(0) [Pa]."""
+        return self.equilibrium_pa + math.fsum(self.moduli_pa)
+
+    def retardation(self) -> tuple[Float[ndarray, " m"], Float[ndarray, " m"]]:
+        """Weights [1/Pa] and rates [1/s] of J(t) = 1/E_inf - sum w_i exp(-r_i t)."""
+        E, E0 = self._moduli, self.instantaneous_pa
+        root = np.sqrt(E / self._times)
+        # with q = sqrt(E tau) v the rates are symmetric
+        rates = np.diag(1 / self._times) - np.outer(root, root) / E0
+        values, vectors = np.linalg.eigh(rates)
+        start = vectors.T @ (np.sqrt(E / self._times) / E0)  # v = q / sqrt(E tau), q(0) = E / E0
+        weights = vectors.T @ np.sqrt(E * self._times)
+        return weights * start / self.equilibrium_pa, values
+
+    @property
+    def _moduli(self) -> Float[ndarray, " m"]:
+        return np.array(self.moduli_pa, dtype=float)
+
+    @property
+    def _times(self) -> Float[ndarray, " m"]:
+        return np.array(self.times_s, dtype=float)
 
 
 Approach = Callable[[float, float], float]

@@ -200,48 +200,6 @@ class SphereTable(DiscTable):
         return surface * factor, np.moveaxis(field((zeta, r)), -1, 0) * scale
 
 
-def press_finite_strain(
-    probe: Probe,
-    pose: Pose,
-    youngs_modulus_pa: float,
-    thickness_m: float,
-    disc_radius_m: float,
-    friction: float = 0.0,
-    poisson_ratio: float = 0.49,
-    x_m: Float[ndarray, " nx"] | None = None,
-    y_m: Float[ndarray, " ny"] | None = None,
-) -> Contact:
-    """Press a rigid sphere into a bonded disc, at finite strain; off-centre presses are the centred one
-    moved.
-
-    Args:
-        probe: Sphere of radius R.
-        pose: Position over a disc centred on the origin, and depth [m].
-        youngs_modulus_pa: Small-strain modulus [Pa].
-        thickness_m: Thickness of the disc [m].
-        disc_radius_m: Radius of the disc, at least 5.7 R [m].
-        friction: Coulomb coefficient, one of the shipped.
-        poisson_ratio: That of the tables, 0.49.
-        x_m, y_m: Columns and rows of the grid [m]; by default 81 points over 1.5 R to each side.
-
-    Returns:
-        Contact with the vertical load per area seen from above as pressure, and friction as shear.
-    """
-    if probe.shape != "sphere":
-        raise InputError(
-            f"the press tables are of a sphere, got probe shape {probe.shape!r}; use shape 'sphere'"
-        )
-    R, E = probe.radius_m, youngs_modulus_pa
-    positive("the sphere's radius", R, "m")
-    positive("Young's modulus", E, "Pa")
-    positive("the disc's thickness", thickness_m, "m")
-    positive("the disc's radius", disc_radius_m, "m")
-    around = np.linspace(-1.5 * R, 1.5 * R, GRID_POINTS)
-    x, y, _ = grid_around(pose, around, x_m, y_m)
-    table = SphereTable.of_disc(thickness_m / R, friction, poisson_ratio)
-    return pressed_contact(table, probe, pose, E, disc_radius_m, x, y)
-
-
 OFF_CENTRE = resources.files("palpate.mechanics") / "tables" / "off_centre.json"
 SLACK = 1e-3  # tolerance for positions in whole millimetres
 _FINE = 61  # additional offsets of the smooth curve
@@ -364,7 +322,10 @@ def is_punched(contact: Contact) -> bool:
     return contact.probe.shape == PunchTable.INDENTER and contact.solution is ContactSolution.DISC_TABLE
 
 
-def press_punch(
+KINDS: dict[str, type[DiscTable]] = {"sphere": SphereTable, "punch": PunchTable}
+
+
+def press_finite_strain(
     probe: Probe,
     pose: Pose,
     youngs_modulus_pa: float,
@@ -375,22 +336,35 @@ def press_punch(
     x_m: Float[ndarray, " nx"] | None = None,
     y_m: Float[ndarray, " ny"] | None = None,
 ) -> Contact:
-    """Press an upright rounded punch into a bonded disc, at finite strain; arguments as of
-    `press_finite_strain`.
+    """Press a rigid sphere or an upright rounded punch into a bonded disc, at finite strain.
+
+    Off-centre presses are the centred one moved.
+
+    Args:
+        probe: Sphere or punch of radius R.
+        pose: Position over a disc centred on the origin, and depth [m].
+        youngs_modulus_pa: Small-strain modulus [Pa].
+        thickness_m: Thickness of the disc [m].
+        disc_radius_m: Radius of the disc, at least 5.7 R [m].
+        friction: Coulomb coefficient, one of the shipped.
+        poisson_ratio: That of the tables, 0.49.
+        x_m, y_m: Columns and rows of the grid [m]; by default 81 points over 1.5 R to each side.
 
     Returns:
-        Contact with the pressure normal to the surface, without the punch's upright side.
+        Contact with the vertical load per area seen from above as pressure, and friction as shear.
     """
-    if probe.shape != "punch" or probe.tilt_rad != 0.0:
+    kind = KINDS.get(probe.shape)
+    if kind is None or (kind is PunchTable and probe.tilt_rad != 0.0):
         raise InputError(
-            f"the tables are of an upright punch, got probe shape {probe.shape!r}, leaning by "
-            f"{probe.tilt_rad:g} rad; use shape 'punch', upright"
+            f"the tables are of a sphere and an upright punch, got probe shape {probe.shape!r}, leaning by "
+            f"{probe.tilt_rad:g} rad; use shape 'sphere', or 'punch' upright",
+            code="no-table",
         )
     R = probe.radius_m
-    positive("the punch's radius", R, "m")
+    positive(f"the {probe.shape}'s radius", R, "m")
     positive("Young's modulus", youngs_modulus_pa, "Pa")
     positive("the disc's thickness", thickness_m, "m")
     positive("the disc's radius", disc_radius_m, "m")
     x, y, _ = grid_around(pose, np.linspace(-1.5 * R, 1.5 * R, GRID_POINTS), x_m, y_m)
-    table = PunchTable.of_disc(thickness_m / R, friction, poisson_ratio)
+    table = kind.of_disc(thickness_m / R, friction, poisson_ratio)
     return pressed_contact(table, probe, pose, youngs_modulus_pa, disc_radius_m, x, y)

@@ -7,7 +7,11 @@ sphere's. For nu = 1/2 the stress that birefringence measures follows from one N
     s_xx - s_zz = -(z / 2 pi) (V_xx - V_zz),      2 s_xz = -(z / pi) V_xz,
     V = c  int_{-a}^{a} (a^2 - t^2) / sqrt(r^2 + (z + i t)^2) dt,      c = pi p0 / (2 a),
 
-with elementary derivatives in w = z + i a, S = sqrt(r^2 + w^2), q = w + S.
+with elementary derivatives in w = z + i a, S = sqrt(r^2 + w^2), q = w + S. Integrated over y, at any nu, the
+field is one of plane strain: with P0 = (pi/2) p0 a and zeta = x + i z,
+
+    int (s_xx - s_zz) dy = -(2/pi) z Re K,     int 2 s_xz dy = (2/pi) z Im K,
+    K = P0 [ -(2 zeta/a^2) ln((zeta - a)/(zeta + a)) - 4/a ].
 
 Reference: K. L. Johnson, Contact Mechanics (1985), ch. 3 and 4, doi:10.1017/CBO9781139171731.
 
@@ -23,19 +27,6 @@ Equations (1) and (2) of the softness display's report print the right-hand side
 References: K. L. Johnson, Contact Mechanics (1985), ch. 4, doi:10.1017/CBO9781139171731; E. P. Scilingo,
 M. Bianchi, G. Grioli, A. Bicchi, Rendering softness, IEEE Trans. Haptics 3 (2010) 109,
 doi:10.1109/TOH.2010.2.
-
-Partial slip of a pressed sphere under a tangential force, by Cattaneo and Mindlin.
-
-Under constant normal force P, friction mu, and tangential force Q below mu P,
-
-    c = a (1 - Q/(mu P))^(1/3),    q(r) = mu p0 [ sqrt(1 - r^2/a^2) - (c/a) sqrt(1 - r^2/c^2) ],
-    delta = D [ 1 - (1 - Q/(mu P))^(2/3) ],    D = 3 mu P (2 - nu) / (16 a G),
-
-where the second root is 0 outside the stick circle r < c. Valid for a/R up to 0.5. Traction in the slip ring
-is along the pull; its effect on the pressure for nu < 1/2 is neglected.
-
-Reference: K. L. Johnson, Contact
-Mechanics (1985), sec. 7.2, doi:10.1017/CBO9781139171731.
 """
 
 from __future__ import annotations
@@ -44,8 +35,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
-from palpate.core import Contact, Float, InputError, Pose, Probe, RangeError, ndarray
+from palpate.core import Complex, Contact, Float, InputError, Pose, Probe, RangeError, ndarray
 
 MAX_SLOPE = 0.5  # maximum a/R of the paraboloid
 GRID_POINTS = 81
@@ -249,6 +241,72 @@ def secondary_stress(
     return np.asarray(-z / (2 * np.pi) * (V_xx - V_zz)), np.asarray(-z / np.pi * V_xz)
 
 
+def centreline_stress(
+    z_m: RayPoints, contact_radius_m: float, peak_pressure_pa: float, poisson_ratio: float
+) -> tuple[RayPoints, RayPoints]:
+    """Return s_rr and s_zz on the axis of a Hertz contact [Pa]: Johnson (3.45)."""
+    reduced_modulus(1.0, poisson_ratio)
+    positive("contact radius", contact_radius_m, "m")
+    positive("peak pressure", peak_pressure_pa, "Pa")
+    in_skin(z_m)
+    z = np.asarray(z_m) / contact_radius_m
+    s_zz = -1 / (1 + z**2)
+    s_rr = -(1 + poisson_ratio) * (1 - z * np.arctan2(1.0, z)) - s_zz / 2
+    return peak_pressure_pa * s_rr, peak_pressure_pa * s_zz
+
+
+def greatest_shear(poisson_ratio: float) -> tuple[float, float]:
+    """Return the maximum shear stress under a Hertz contact over p0, and its depth over a.
+
+    Example:
+        >>> [round(v, 3) for v in greatest_shear(0.5)]
+        [0.266, 0.548]
+    """
+
+    def shear(z: float) -> float:
+        s_rr, s_zz = centreline_stress(z, 1.0, 1.0, poisson_ratio)
+        return float(s_rr - s_zz) / 2
+
+    best = minimize_scalar(lambda z: -shear(z), bounds=(0.3, 0.7), method="bounded", options={"xatol": 1e-9})
+    return shear(best.x), float(best.x)
+
+
+FAR = 8.0  # distance beyond which the series is used, in contact radii
+TERMS = 9  # terms of the series in (a/zeta)^2, accurate to 1e-17 at FAR
+
+
+def line_integrated_stress(
+    x_m: RayPoints, z_m: RayPoints, contact_radius_m: float, peak_pressure_pa: float
+) -> tuple[Points, Points]:
+    """Return int (s_xx - s_zz) dy and int 2 s_xz dy [Pa m] under a Hertz contact; any Poisson's ratio.
+
+    Args:
+        x_m, z_m: Position and depth of the ray [m].
+        contact_radius_m: a [m].
+        peak_pressure_pa: p0 [Pa].
+    """
+    positive("contact radius", contact_radius_m, "m")
+    in_skin(z_m)
+    a = contact_radius_m
+    zeta = np.asarray((x_m + 1j * np.asarray(z_m)) / a)
+    P0 = np.pi / 2 * peak_pressure_pa * a
+    K = P0 / a * np.where(abs(zeta) > FAR, _kernel_far(zeta), _kernel_near(zeta))
+    return np.asarray(-2 / np.pi * z_m * K.real), np.asarray(2 / np.pi * z_m * K.imag)
+
+
+def _kernel_near(zeta: Complex[ndarray, "*n"]) -> Complex[ndarray, "*n"]:
+    on_edge = (zeta.imag == 0) & (abs(zeta.real) == 1)  # z K is zero there, K alone is not finite
+    zeta = np.where(on_edge, 0.0, zeta)
+    return np.asarray(-2 * zeta * np.log((zeta - 1) / (zeta + 1)) - 4)
+
+
+def _kernel_far(zeta: Complex[ndarray, "*n"]) -> Complex[ndarray, "*n"]:
+    u2 = 1 / np.where(abs(zeta) > FAR, zeta, FAR) ** 2
+    coefficients = 4 / (2 * np.arange(TERMS + 1) + 1)
+    coefficients[0] = 0.0
+    return np.asarray(np.polynomial.polynomial.polyval(u2, coefficients))
+
+
 Values = float | Float[ndarray, "*n"]
 
 
@@ -309,62 +367,8 @@ def _partner(modulus_pa: float, together_m: float, finger: Body) -> Body:
     return Body(modulus_pa, 1 / curvature)
 
 
-def stick_radius(pull_n: float, force_n: float, friction: float, contact_radius_m: float) -> float:
-    """Return the radius c of the stick circle [m].
-
-    Args:
-        pull_n: Tangential force Q, 0 to mu P [N].
-        force_n: Normal force P [N].
-        friction: Coefficient mu.
-        contact_radius_m: a [m].
-
-    Example:
-        >>> round(stick_radius(0.35, 1.0, 0.4, 2e-3) * 1e3, 9)
-        1.0
-    """
-    positive("contact radius", contact_radius_m, "m")
-    return contact_radius_m * math.cbrt(1.0 - _share(pull_n, force_n, friction))
-
-
 def tangential_stiffness(contact_radius_m: float, youngs_modulus_pa: float, poisson_ratio: float) -> float:
     """Return dQ/d(delta) = 8 a G / (2 - nu) without slip [N/m]."""
     positive("contact radius", contact_radius_m, "m")
     G = reduced_modulus(youngs_modulus_pa, poisson_ratio) * (1.0 - poisson_ratio) / 2.0
     return 8.0 * contact_radius_m * G / (2.0 - poisson_ratio)
-
-
-def tangential_displacement(
-    pull_n: float,
-    force_n: float,
-    friction: float,
-    contact_radius_m: float,
-    youngs_modulus_pa: float,
-    poisson_ratio: float,
-) -> float:
-    """Return the displacement of the stick circle and the sphere under a monotonic pull [m]."""
-    share = _share(pull_n, force_n, friction)
-    k = tangential_stiffness(contact_radius_m, youngs_modulus_pa, poisson_ratio)
-    log_rest = math.log1p(-share) if share < 1.0 else -math.inf
-    return 1.5 * friction * force_n / k * -math.expm1(2.0 / 3.0 * log_rest)
-
-
-def traction(r_m: Points, pull_n: float, force_n: float, friction: float, contact_radius_m: float) -> Points:
-    """Return the tangential traction q along the pull at distance r [Pa]; zero outside the contact."""
-    a, c = contact_radius_m, stick_radius(pull_n, force_n, friction, contact_radius_m)
-    p0 = 1.5 * force_n / (math.pi * a**2)
-    stick = np.sqrt(np.maximum(c**2 - np.square(r_m), 0.0)) / a  # (c/a) sqrt(1 - r^2/c^2)
-    return np.asarray(friction * p0 * (np.sqrt(np.maximum(1.0 - np.square(r_m / a), 0.0)) - stick))
-
-
-def _share(pull_n: float, force_n: float, friction: float) -> float:
-    """Q / (mu P)."""
-    positive("normal force", force_n, "N")
-    positive("the coefficient of friction", friction, "(a ratio)")
-    limit = friction * force_n
-    if not 0.0 <= pull_n <= limit * (1 + 1e-12):
-        raise RangeError(
-            f"pull {pull_n:g} N lies outside 0 to {limit:g} N, the friction that holds it; beyond it the "
-            "whole contact slides",
-            code="sliding",
-        )
-    return min(pull_n / limit, 1.0)

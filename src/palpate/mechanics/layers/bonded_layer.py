@@ -1,4 +1,4 @@
-"""Sphere or flat punch on an elastic layer over a rigid base: Hayes's exact law and Dimitriadis's series.
+"""Sphere or flat punch on an elastic layer over a rigid base: Hayes's exact law.
 
 The layer's surface sinks by u(k) = 2/(E* k) M(kh) p(k) under a pressure p(k) of wavenumber k, where
 
@@ -10,12 +10,9 @@ With p(k) = (E*/pi) int_0^a g(t) cos(kt) dt, inside the contact
     g(t) - (2/pi) int_0^a g(s) int_0^inf [1 - M(kh)] cos(ks) cos(kt) dk ds = d - { 0            flat punch
                                                                                { t atanh(t/R) sphere,
 
-then F = 2 E* int_0^a g dt, and g(a) = 0 under a sphere. Dimitriadis's series in chi = sqrt(R d)/h to chi^4
-has fitted coefficients; for the sliding base at nu = 1/2 its first one is 19 % too large.
+then F = 2 E* int_0^a g dt, and g(a) = 0 under a sphere.
 
-References: W. C.
-Hayes et al., J. Biomech. 5 (1972) 541, doi:10.1016/0021-9290(72)90010-3; E. K. Dimitriadis et al., Biophys.
-J. 82 (2002) 2798, doi:10.1016/S0006-3495(02)75620-8.
+Reference: W. C. Hayes et al., J. Biomech. 5 (1972) 541, doi:10.1016/0021-9290(72)90010-3.
 """
 
 from __future__ import annotations
@@ -28,12 +25,11 @@ import numpy as np
 from scipy.optimize import brentq
 
 from palpate.core import Float, InputError, RangeError, ndarray
-from palpate.mechanics.half_space.hertz import force_from_depth, positive, reduced_modulus
+from palpate.mechanics.half_space.hertz import positive, reduced_modulus
 from palpate.mechanics.half_space.sneddon import MAX_RADIUS
 
 MAX_RATIO = 10.0  # maximum a/h
 MAX_STRAIN = 0.2  # maximum d/h of small strain
-MAX_CHI = 0.3  # maximum chi of the series, with errors up to 3 % bonded and 5 % sliding
 NODES = 48  # nodes over the contact
 LAST_WAVE = 25.0  # s beyond which 1 - M is below 1e-18
 
@@ -63,22 +59,6 @@ def punch_factor(ratio: float, poisson_ratio: float, base: Base = "bonded") -> f
     """
     _, weights, inverse = _system(_ratio(ratio), poisson_ratio, base)
     return float(weights @ inverse.sum(axis=1))
-
-
-def punch_force(
-    depth_m: float,
-    punch_radius_m: float,
-    thickness_m: float,
-    youngs_modulus_pa: float,
-    poisson_ratio: float,
-    base: Base = "bonded",
-) -> float:
-    """Return the force 2 a E* kappa d of a flat-ended cylinder on a layer [N]."""
-    positive("the punch's radius", punch_radius_m, "m")
-    _strain(depth_m, thickness_m)
-    E = reduced_modulus(youngs_modulus_pa, poisson_ratio)
-    kappa = punch_factor(punch_radius_m / thickness_m, poisson_ratio, base)
-    return 2.0 * punch_radius_m * E * kappa * depth_m
 
 
 def sphere_from_radius(
@@ -133,53 +113,6 @@ def sphere_force(
         return sphere_from_radius(widest, *rest)[1]
     a = brentq(lambda a: sphere_from_radius(a, *rest)[0] - depth_m, low, widest, xtol=1e-300, rtol=1e-12)
     return sphere_from_radius(a, *rest)[1]
-
-
-def dimitriadis_force(
-    depth_m: float,
-    radius_m: float,
-    thickness_m: float,
-    youngs_modulus_pa: float,
-    poisson_ratio: float,
-    base: Base = "bonded",
-) -> float:
-    """Return the force of a sphere on a layer by Dimitriadis's series, for comparison with
-    publications [N].
-    """
-    _strain(depth_m, thickness_m)
-    hertz = force_from_depth(depth_m, radius_m, youngs_modulus_pa, poisson_ratio)
-    chi = math.sqrt(radius_m * depth_m) / thickness_m
-    if chi > MAX_CHI * (1 + 1e-12):
-        raise RangeError(
-            f"sqrt(R d)/h = {chi:.3g} lies outside 0 to {MAX_CHI}, where Dimitriadis's series holds to "
-            "5 %; use the exact law, sphere_force, or press less deeply"
-        )
-    return hertz * dimitriadis_factor(chi, poisson_ratio, base)
-
-
-def dimitriadis_factor(chi: float, poisson_ratio: float, base: Base = "bonded") -> float:
-    """Return Dimitriadis's series in chi = sqrt(R d)/h: force over Hertz's, without a limit on chi.
-
-    The often quoted bonded short form for nu = 1/2 has the other sign at its term 0.0975 chi^4.
-    """
-    reduced_modulus(1.0, poisson_ratio)
-    nu = poisson_ratio
-    if base == "bonded":
-        alpha = -(1.2876 - 1.4678 * nu + 1.3442 * nu**2) / (1 - nu)
-        beta = (0.6387 - 1.0277 * nu + 1.5164 * nu**2) / (1 - nu)
-    elif base == "sliding":
-        alpha = -0.347 * (3 - 2 * nu) / (1 - nu)
-        beta = 0.056 * (5 - 2 * nu) / (1 - nu)
-    else:
-        raise InputError(f"base {base!r} is not known; the layer's base is 'bonded' or 'sliding'")
-    pi = math.pi
-    return (
-        1.0
-        - 2 * alpha / pi * chi
-        + 4 * alpha**2 / pi**2 * chi**2
-        - 8 / pi**3 * (alpha**3 + 4 * pi**2 / 15 * beta) * chi**3
-        + 16 * alpha / pi**4 * (alpha**3 + 3 * pi**2 / 5 * beta) * chi**4
-    )
 
 
 @lru_cache(maxsize=256)

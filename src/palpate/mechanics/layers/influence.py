@@ -45,7 +45,7 @@ from scipy.optimize import brentq
 
 from palpate.core import Complex, Field, Float, InputError, Int, RangeError, ndarray
 from palpate.mechanics.half_space.hertz import MAX_SLOPE, Body
-from palpate.mechanics.layers.stack import Compliance, Stack, surface_compliance
+from palpate.mechanics.layers.stack import Compliance, Stack, climb, surface_compliance
 
 UNEVEN = 1e-6  # relative tolerance of grid steps
 
@@ -365,6 +365,46 @@ def _mirror(
     padded[:, :n] = values
     padded[:, length - n + 1 :] = (-1 if changes_sign else 1) * values[:, :0:-1]
     return padded
+
+
+class PlaneResponse(NamedTuple):
+    """Motion of a plane per wave of load [m/Pa].
+
+    Attributes:
+        xx, xy, yy: In plane by shear.
+        pressed_x, pressed_y: i times this in plane by pressure.
+        lifted_x, lifted_y: -i times this along z by shear.
+        zz: Along z by pressure.
+    """
+
+    waves: Waves
+    xx: Spectrum
+    xy: Spectrum
+    yy: Spectrum
+    pressed_x: Spectrum
+    pressed_y: Spectrum
+    lifted_x: Spectrum
+    lifted_y: Spectrum
+    zz: Spectrum
+
+
+@lru_cache(maxsize=16)
+def plane_response(stack: Stack, interface: int, side: int, cell_m: float) -> PlaneResponse:
+    """Return the response of the plane below a number of layers, on a square periodic grid (cached)."""
+    waves = spread(Cells(side, side, cell_m, cell_m), 0.0)
+    in_plane, across = climb(stack.slabs, stack.below, waves.k)
+    one, other = in_plane[interface], across[interface]
+    CR = one.compliance @ one.transmission / waves.k[:, None, None]
+    cr = (other.compliance @ other.transmission)[:, 0, 0] / waves.k
+    on, c, s = waves.gather, waves.cos, waves.sin
+    along, sideways, coupled = on(CR[:, 0, 0]), on(cr), on(CR[:, 0, 1])
+    lifted = on(CR[:, 1, 0])
+    xx, yy = c * c * along + s * s * sideways, s * s * along + c * c * sideways
+    zz = on(CR[:, 1, 1])
+    zz[0, 0] = waves.mean_wave(CR[:, 1, 1])
+    xx[0, 0] = yy[0, 0] = waves.mean_wave((CR[:, 0, 0] + cr) / 2)
+    fields = (xx, c * s * (along - sideways), yy, c * coupled, s * coupled, c * lifted, s * lifted, zz)
+    return PlaneResponse(waves, *fields)
 
 
 MAX_STRAIN = 0.2  # maximum depth over the stack's thickness

@@ -20,14 +20,13 @@ from scipy import fft
 from scipy.ndimage import convolve1d, map_coordinates, spline_filter
 
 from palpate.core import Complex, Contact, Field, Float, Pose, PressHistory, Probe, ndarray
-from palpate.mechanics.layers.influence import Cells, Waves, spread
-from palpate.mechanics.layers.stack import Stack, climb
+from palpate.mechanics.layers.influence import plane_response
+from palpate.mechanics.layers.stack import Stack
 from palpate.sensors.nusense.pad_contact import PATTERN_CELL_M, pad_contact
 
 SIDE = 192  # cells: 38 mm to each side of the probe, over eight thicknesses
 AT_KNOT = (1 / 6, 4 / 6, 1 / 6)  # values of a cubic B-spline at its knots
 
-Spectrum = Float[ndarray, "py half"]
 Wave = Complex[ndarray, "py half"]
 
 
@@ -59,46 +58,6 @@ class PatternMotion:
         return np.stack(
             [map_coordinates(knots, [rows, columns], order=3, prefilter=False) for knots in self.knots]
         )
-
-
-class PlaneResponse(NamedTuple):
-    """Motion of a plane per wave of load [m/Pa].
-
-    Attributes:
-        xx, xy, yy: In plane by shear.
-        pressed_x, pressed_y: i times this in plane by pressure.
-        lifted_x, lifted_y: -i times this along z by shear.
-        zz: Along z by pressure.
-    """
-
-    waves: Waves
-    xx: Spectrum
-    xy: Spectrum
-    yy: Spectrum
-    pressed_x: Spectrum
-    pressed_y: Spectrum
-    lifted_x: Spectrum
-    lifted_y: Spectrum
-    zz: Spectrum
-
-
-@lru_cache(maxsize=16)
-def plane_response(stack: Stack, interface: int, side: int, cell_m: float) -> PlaneResponse:
-    """Return the response of the plane below a number of layers, on a square periodic grid (cached)."""
-    waves = spread(Cells(side, side, cell_m, cell_m), 0.0)
-    in_plane, across = climb(stack.slabs, stack.below, waves.k)
-    one, other = in_plane[interface], across[interface]
-    CR = one.compliance @ one.transmission / waves.k[:, None, None]
-    cr = (other.compliance @ other.transmission)[:, 0, 0] / waves.k
-    on, c, s = waves.gather, waves.cos, waves.sin
-    along, sideways, coupled = on(CR[:, 0, 0]), on(cr), on(CR[:, 0, 1])
-    lifted = on(CR[:, 1, 0])
-    xx, yy = c * c * along + s * s * sideways, s * s * along + c * c * sideways
-    zz = on(CR[:, 1, 1])
-    zz[0, 0] = waves.mean_wave(CR[:, 1, 1])
-    xx[0, 0] = yy[0, 0] = waves.mean_wave((CR[:, 0, 0] + cr) / 2)
-    fields = (xx, c * s * (along - sideways), yy, c * coupled, s * coupled, c * lifted, s * lifted, zz)
-    return PlaneResponse(waves, *fields)
 
 
 def pattern_motion(stack: Stack, interface: int, contact: Contact) -> PatternMotion:

@@ -28,7 +28,6 @@ from palpate.mechanics.axisymmetric.shape_table import (
     PunchTable,
     SphereTable,
     press_finite_strain,
-    press_punch,
 )
 from palpate.mechanics.layers.contact_solver import StackContact, press_stack
 from palpate.mechanics.layers.stack import ElasticLayer, Stack
@@ -328,7 +327,7 @@ def _by_table(spec: PalmSpec, pose: Pose, probe: Probe) -> Contact | None:
     membrane = spec.youngs_modulus_pa, spec.thickness_m, spec.radius_m
     grid = pose.x_m + around, pose.y_m + around
     if has_punch_table(spec, probe):
-        return press_punch(probe, pose, *membrane, spec.friction, spec.poisson_ratio, *grid)
+        return press_finite_strain(probe, pose, *membrane, spec.friction, spec.poisson_ratio, *grid)
     if has_probe_table(spec, probe):
         return press_probe(probe_table_of(spec, probe), probe, pose, *membrane, *grid)
     return None

@@ -19,9 +19,8 @@ from scipy.interpolate import CubicSpline, RectBivariateSpline
 from scipy.optimize import brentq
 
 from palpate.core import Float, ndarray
-from palpate.mechanics.axisymmetric.axisymmetric_fem import CreepingPress
+from palpate.mechanics.axisymmetric.axisymmetric_fem import CreepingPress, Prony
 from palpate.mechanics.axisymmetric.tip_table import HeadOnPress, SidePress, TipTable, softness_share
-from palpate.mechanics.viscoelastic import Prony
 from palpate.sensors.tactip.tactip_camera import projected
 from palpate.sensors.tactip.tactip_spec import PinLayout, TacTipSpec
 

@@ -35,11 +35,10 @@ from palpate.core import (
     is_rigid,
     ndarray,
 )
-from palpate.mechanics.axisymmetric.axisymmetric_fem import CreepingPress
+from palpate.mechanics.axisymmetric.axisymmetric_fem import CreepingPress, Prony
 from palpate.mechanics.axisymmetric.disc_table import SAME
 from palpate.mechanics.axisymmetric.shape_table import shape_table
 from palpate.mechanics.axisymmetric.tip_table import HeadOnPress
-from palpate.mechanics.viscoelastic import Prony
 from palpate.sensors.tactip import tactip_spec as specs
 from palpate.sensors.tactip.inclined_press import MAX_TILT, inclined
 from palpate.sensors.tactip.tactip_camera import projected, rendered
