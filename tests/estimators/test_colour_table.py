@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tests.fringe_fields import LED, beam, colours, disc
+from tests.fringe_fields import LED, beam, colours, disc, order_from_colour
 from tests.refusals import refused
 
 from palpate.core.errors import InputError, RangeError
@@ -12,7 +12,6 @@ from palpate.estimators.fringe_map import (
     disc_orders,
     line_orders,
     measured_table,
-    order_from_colour,
     read_table,
     table_of,
 )
