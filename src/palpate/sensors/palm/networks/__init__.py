@@ -29,7 +29,7 @@ MODELS: dict[str, Kind] = {
         regions=REGIONS,
     ),
     "palm-mlp-delta": Kind(
-        f"{__name__}.palm_mlp_delta:PalmMlpDelta",
+        f"{__name__}.palm_report_networks:PalmMlpDelta",
         128,
         channels=1,
         delta=True,
