@@ -10,7 +10,7 @@ from palpate.cli import app
 from palpate.core import Pose
 from palpate.recordings.exchange import image_files
 from palpate.sensors import palm
-from palpate.sensors.palm import fringe_rays
+from palpate.sensors.palm import probe_stress
 from palpate.sensors.palm.membrane_faults import Wear, worn
 
 FACTS = {
@@ -73,7 +73,7 @@ def test_nothing_is_overwritten(frame):
 
 @pytest.mark.slow
 def test_a_ball_that_no_table_holds_is_pressed_into_layers(frame, monkeypatch):
-    monkeypatch.setattr(fringe_rays, "PLANES", 12)  # with the next line, three times as fast
+    monkeypatch.setattr(probe_stress, "PLANES", 12)  # with the next line, three times as fast
     monkeypatch.setattr(import_module("palpate.sensors.palm.palm_press"), "CELLS", 80)
     said = json.loads(render("--depth-mm", "0.5", "--indenter", "sphere:6", "--json", out=frame).stdout)
     assert "linear elastic layers" in said["model"]
