@@ -50,15 +50,18 @@ def test_a_probe_in_the_air_is_drawn_and_presses_nothing(frame):
     assert (picture(frame) != picture(bare)).any()
 
 
-def test_a_press_is_drawn_by_its_seed_and_its_numbers_are_said(frame):
-    said = json.loads(render(*PLACED, "--seed", "1", "--json", out=frame).stdout)
+@pytest.mark.parametrize(("x_mm", "exact"), [(5, False), (14, True)])  # the fast way is off near the rim
+def test_a_press_is_drawn_by_its_seed_and_its_numbers_are_said(frame, x_mm, exact):
+    said = json.loads(render(*PLACED, "--x-mm", str(x_mm), "--seed", "1", "--json", out=frame).stdout)
     assert said.keys() >= FACTS
     spec = palm.debug()
-    contact = palm.press(spec, Pose(5e-3, -2e-3, 3e-3))
+    contact = palm.press(spec, Pose(1e-3 * x_mm, -2e-3, 3e-3))
     assert said["force_N"] == pytest.approx(contact.force_n)
     assert said["contact_radius_mm"] == pytest.approx(contact.radius_m * 1e3)
     assert said["out"] == str(frame)
-    drawn, other = (palm.render(contact, spec, np.random.default_rng(seed)).image for seed in (1, 0))
+    drawn, other = (
+        palm.render(contact, spec, np.random.default_rng(seed), exact=exact).image for seed in (1, 0)
+    )
     np.testing.assert_array_equal(picture(frame), drawn)
     assert picture(frame).shape == (108, 192, 3)
     assert (drawn != other).any()
