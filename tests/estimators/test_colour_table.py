@@ -58,13 +58,6 @@ def test_a_measured_table_reads_a_camera_that_no_assumed_curve_fits():
     assert assumed.summary()["misfit_median"] > 2 * found.summary()["misfit_median"]
 
 
-def test_a_disc_s_centre_has_the_stated_order_and_its_loads_none():
-    N = disc_orders((101, 101), (50, 50, 100), 0.7)
-    assert N[50, 50] == pytest.approx(0.7)
-    assert np.isnan(N[2, 50])
-    assert N[50, 30] > N[50, 20]
-
-
 def test_a_table_comes_back_from_its_file(tmp_path):
     table = measured()
     table.write(tmp_path / "beam.csv")
