@@ -89,7 +89,7 @@ def laid_of(spec: PalmSpec, contact: Contact) -> Laid:
             stress = np.float32(share) * stress + _read_layers(contact, layers, planes, half)
         cell, aside = 2 * half / CELLS, float(_aside(half)[0])
         made.append(OnGrid((contact.pose.x_m + aside, contact.pose.y_m + aside), (cell, cell), stress))
-    return Laid(planes, *made)
+    return Laid(planes, made[0], made[1])
 
 
 def _aside(half: float) -> Float[ndarray, " n"]:
