@@ -19,17 +19,17 @@ def _kind(
     )
 
 
-DEPTH_TARGETS = ("depth_mm", *PLACE, "force_N")
-STAGES = ("depth_mm", *PLACE, *FORCES, "force_magnitude_N")
+_DEPTH_TARGETS = ("depth_mm", *PLACE, "force_N")
+_STAGES = ("depth_mm", *PLACE, *FORCES, "force_magnitude_N")
 MODELS: dict[str, Kind] = {
     "palm-joint-raw": _kind("palm_report_networks:PalmJointRaw", 128, 3, False, (*FORCES, *PLACE)),
     "palm-force-conditioned": _kind(
         "palm_report_networks:PalmForceConditioned", 128, 3, True, ("force_N", *PLACE)
     ),
     "palm-mlp-delta": _kind("palm_report_networks:PalmMlpDelta", 128, 1, True, FORCES, costly=False),
-    "palm-two-stage": _kind("palm_report_networks:PalmTwoStage", 128, 1, True, STAGES),
-    "palm-moments": _kind("palm_moments:PalmMoments", 96, 1, True, DEPTH_TARGETS, costly=False),
-    "palm-compact": _kind("palm_compact:PalmCompact", 96, 3, True, DEPTH_TARGETS),
+    "palm-two-stage": _kind("palm_report_networks:PalmTwoStage", 128, 1, True, _STAGES),
+    "palm-moments": _kind("palm_moments:PalmMoments", 96, 1, True, _DEPTH_TARGETS, costly=False),
+    "palm-compact": _kind("palm_compact:PalmCompact", 96, 3, True, _DEPTH_TARGETS),
 }
 
 __all__ = ["FORCES", "MODELS", "PLACE", "REGIONS"]
