@@ -3,8 +3,8 @@
 import numpy as np
 
 from palpate.estimators.fringe_light import white_led
+from palpate.estimators.fringe_map import ColourReader
 from palpate.mechanics.probe_contact import disc_difference
-from palpate.optics.polariscope import linear_retarder, mueller
 
 LED = white_led()
 
@@ -27,12 +27,6 @@ def colours(order, noise=0.02, seed=0, lamp=LED):
     return lamp.light(order) + noise * np.random.default_rng(seed).standard_normal((*order.shape, 3))
 
 
-def leaving(order, axis):
-    """Stokes vectors of circular light behind a retarder, by Mueller matrices."""
-    return mueller(linear_retarder(order, axis))[..., 1:, 3]
-
-
-def phases(order, axis, analysers, noise=0.02, seed=0):
-    """Light behind each analyser."""
-    frames = 0.5 * (1 + np.einsum("nj,hwj->nhw", analysers, leaving(order, axis)))
-    return frames + noise * np.random.default_rng(seed).standard_normal(frames.shape)
+def order_from_colour(image, table, **options):
+    """Map of one frame."""
+    return ColourReader(table, **options).read(image)

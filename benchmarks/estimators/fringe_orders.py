@@ -3,8 +3,8 @@
 Run ``python benchmarks/estimators/fringe_orders.py [--rounds 15] [--picture orders.png]``. A disc pressed
 across its diameter fills 640 x 480 px, in 8-bit sRGB with photon and read noise and a blur of 0.7 px, once
 with the assumed lamp and camera, once with others; it is read by the assumed table and by one measured on a
-beam in bending under the same light. Errors are of pixels within the table's orders. Six steps and a
-polarisation camera see the same disc at two thirds of its load. No number is judged, only printed.
+beam in bending under the same light. Errors are of pixels within the table's orders. No number is judged,
+only printed.
 """
 
 from __future__ import annotations
@@ -22,8 +22,6 @@ from scipy.ndimage import gaussian_filter
 from palpate.core import new_file
 from palpate.estimators.fringe_light import Polariscope, white_led
 from palpate.estimators.fringe_map import (
-    CAMERA,
-    SIX_STEPS,
     ColourReader,
     OrderMap,
     flat_field,
@@ -31,13 +29,11 @@ from palpate.estimators.fringe_map import (
     line_orders,
     measured_table,
     nearest_colour,
-    order_from_phases,
     table_of,
 )
 from palpate.mechanics.probe_contact import disc_difference
 from palpate.optics import assumed_camera, electrons, encode_srgb
 from palpate.optics.colour import linear_light
-from palpate.optics.polariscope import linear_retarder, mueller
 from palpate.reports.field_figures import draw_orders
 
 SIZE = 480, 640
@@ -56,13 +52,13 @@ OTHER = Polariscope(
 )
 
 
-def disc() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Orders over the centre's, axes, and where the disc is."""
+def disc() -> tuple[np.ndarray, np.ndarray]:
+    """Orders over the centre's, and where the disc is."""
     h, w = SIZE
     y, x = np.mgrid[-1 : 1 : h * 1j, -w / h : w / h : w * 1j]
-    share, axis = disc_difference(x / 0.97, y / 0.97)
+    share, _ = disc_difference(x / 0.97, y / 0.97)
     inside = np.hypot(x, y) < 0.95
-    return np.where(inside, np.minimum(np.nan_to_num(share), 8), 0.0), np.nan_to_num(axis), inside
+    return np.where(inside, np.minimum(np.nan_to_num(share), 8), 0.0), inside
 
 
 def photograph(light: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -104,7 +100,7 @@ def main() -> None:
     parser.add_argument("--picture", type=Path, help="PNG of the second disc's map; must not exist")
     given = parser.parse_args()
     rounds = given.rounds
-    share, axis, inside = disc()
+    share, inside = disc()
     truth, rng = AT_CENTRE * share, np.random.default_rng(0)
     use = inside & (truth < TOP - 0.3)
     h, w = SIZE
@@ -139,19 +135,6 @@ def main() -> None:
     free = ColourReader(assumed, white=white, isoclinics=True)
     took("  plane polariscope, isoclinics free", lambda: free.read(frame), max(rounds // 5, 1))
     took("  nearest colour", lambda: nearest_colour(light, measured), max(rounds // 5, 1))
-    N = 0.8 * share
-    s = mueller(linear_retarder(N, axis))[..., 1:, 3]
-    column = int(np.abs(N[h // 2, : w // 2] - 0.125 - (~inside[h // 2, : w // 2])).argmin())
-    place = h // 2, column, float(N[h // 2, column])
-    for name, analysers in (("six steps", SIX_STEPS), ("polarisation camera", CAMERA)):
-        light = np.stack([linear_light(photograph((1 + s @ a) / 2, rng), "srgb") for a in analysers])
-        found = order_from_phases(light, analysers, place, mask=inside)
-        told(f"  {name}", found.order, N, inside & ((7 if len(analysers) > 4 else 0.17) > N), found)
-        took(
-            f"  {name}",
-            lambda f=light, a=analysers: order_from_phases(f, a, place, mask=inside),
-            max(rounds // 3, 1),
-        )
 
 
 if __name__ == "__main__":

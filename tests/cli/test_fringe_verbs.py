@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 import tifffile
 from PIL import Image
-from tests.fringe_fields import beam, colours, disc, phases
+from tests.fringe_fields import beam, colours, disc
 from typer.testing import CliRunner
 
 from palpate.cli import app
-from palpate.estimators.fringe_map import CAMERA, SIX_STEPS
 from palpate.optics.colour import encode_srgb
 
-SHARE, AXIS, FACE = disc()
+SHARE, _, FACE = disc()
 
 
 def optics(*words, status=0):
@@ -30,14 +29,13 @@ def save(path, light):
 
 @pytest.fixture
 def pictures(tmp_path):
-    """A disc at two loads, the mask, white light, a beam in bending, and six steps."""
+    """A disc at two loads, the mask, white light, a beam in bending, and a grey picture."""
     save(tmp_path / "a.png", colours(SHARE * 0.6, 0.01))
     save(tmp_path / "b.png", colours(SHARE * 1.0, 0.01, seed=1))
     save(tmp_path / "white.png", np.ones((90, 90, 3)))
     save(tmp_path / "beam.png", colours(beam(3.0, 300, 120), 0.01))
     Image.fromarray((FACE * 255).astype(np.uint8)).save(tmp_path / "mask.png")
-    for i, frame in enumerate(phases(SHARE * 0.8, AXIS, SIX_STEPS, 0.005)):
-        save(tmp_path / f"step{i + 1}.png", frame)
+    save(tmp_path / "grey.png", SHARE)
     return tmp_path
 
 
@@ -87,40 +85,13 @@ def test_an_assumed_lamp_with_white_light_reads_a_frame_and_writes_nothing_unask
     assert sorted(pictures.rglob("*")) == before
 
 
-def test_six_steps_are_mapped_from_a_place_whose_order_is_known(pictures):
-    column = int(np.abs(SHARE[45, :45] * 0.8 - 0.125).argmin())
-    words = ["--calibration", "six-step", "--reference-px", f"{column},45,0.125", "--json"]
-    steps = [pictures / f"step{i}.png" for i in range(1, 7)]
-    line = json.loads(optics("fringe-order", *steps, *words, "--mask", pictures / "mask.png").stdout)
-    assert line["told_share"] > 0.85
-    assert line["order_greatest"] == pytest.approx(1.9, abs=0.1)
-    assert "takes 6" in optics("fringe-order", *steps[:5], *words, status=2).stderr
-
-
-def test_a_polarisation_camera_s_raw_frames_are_mapped_one_after_the_other(tmp_path):
-    folder = tmp_path / "raw"
-    folder.mkdir()
-    for i, at_centre in enumerate((0.05, 0.07)):
-        frames = np.rint(250 * phases(SHARE * at_centre, AXIS, CAMERA, 0.005)).clip(0, 253).astype(np.uint8)
-        raw = np.zeros((180, 180), np.uint8)
-        raw[1::2, 1::2], raw[::2, 1::2], raw[::2, ::2], raw[1::2, ::2] = frames
-        Image.fromarray(raw).save(folder / f"{i}.png")
-    Image.fromarray((FACE * 255).astype(np.uint8)).save(tmp_path / "mask.png")
-    words = ["--calibration", "polarisation-camera", "--reference-px", "45,45,0.05", "--json", "--out"]
-    said = optics("fringe-order", folder, "--mask", tmp_path / "mask.png", *words, tmp_path / "out").stdout
-    assert all(json.loads(line)["told_share"] > 0.9 for line in said.splitlines())
-    for page, at_centre in zip(tifffile.imread(tmp_path / "out" / "order.tif"), (0.05, 0.07), strict=True):
-        assert np.nanmax(np.abs(page - SHARE * at_centre)) < 0.02
-
-
 @pytest.mark.parametrize(
     ("words", "said"),
     [
         (["--calibration", "neon"], "led, tungsten"),
         (["--tone", "log"], "srgb or linear"),
         (["--noise", "0"], "noise"),
-        (["--calibration", "polarisation-camera"], "--reference-px"),
-        (["--white", "step1.png"], "grey"),
+        (["--white", "grey.png"], "grey"),
         (["--calibration", "missing.csv"], "not there"),
     ],
 )

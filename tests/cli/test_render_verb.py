@@ -10,7 +10,7 @@ from palpate.cli import app
 from palpate.core import Pose
 from palpate.recordings.exchange import image_files
 from palpate.sensors import palm
-from palpate.sensors.palm import fringe_rays
+from palpate.sensors.palm import probe_stress
 from palpate.sensors.palm.membrane_faults import Wear, worn
 
 FACTS = {
@@ -50,15 +50,18 @@ def test_a_probe_in_the_air_is_drawn_and_presses_nothing(frame):
     assert (picture(frame) != picture(bare)).any()
 
 
-def test_a_press_is_drawn_by_its_seed_and_its_numbers_are_said(frame):
-    said = json.loads(render(*PLACED, "--seed", "1", "--json", out=frame).stdout)
+@pytest.mark.parametrize(("x_mm", "exact"), [(5, False), (14, True)])  # the fast way is off near the rim
+def test_a_press_is_drawn_by_its_seed_and_its_numbers_are_said(frame, x_mm, exact):
+    said = json.loads(render(*PLACED, "--x-mm", str(x_mm), "--seed", "1", "--json", out=frame).stdout)
     assert said.keys() >= FACTS
     spec = palm.debug()
-    contact = palm.press(spec, Pose(5e-3, -2e-3, 3e-3))
+    contact = palm.press(spec, Pose(1e-3 * x_mm, -2e-3, 3e-3))
     assert said["force_N"] == pytest.approx(contact.force_n)
     assert said["contact_radius_mm"] == pytest.approx(contact.radius_m * 1e3)
     assert said["out"] == str(frame)
-    drawn, other = (palm.render(contact, spec, np.random.default_rng(seed)).image for seed in (1, 0))
+    drawn, other = (
+        palm.render(contact, spec, np.random.default_rng(seed), exact=exact).image for seed in (1, 0)
+    )
     np.testing.assert_array_equal(picture(frame), drawn)
     assert picture(frame).shape == (108, 192, 3)
     assert (drawn != other).any()
@@ -73,7 +76,7 @@ def test_nothing_is_overwritten(frame):
 
 @pytest.mark.slow
 def test_a_ball_that_no_table_holds_is_pressed_into_layers(frame, monkeypatch):
-    monkeypatch.setattr(fringe_rays, "PLANES", 12)  # with the next line, three times as fast
+    monkeypatch.setattr(probe_stress, "PLANES", 12)  # with the next line, three times as fast
     monkeypatch.setattr(import_module("palpate.sensors.palm.palm_press"), "CELLS", 80)
     said = json.loads(render("--depth-mm", "0.5", "--indenter", "sphere:6", "--json", out=frame).stdout)
     assert "linear elastic layers" in said["model"]

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tests.fringe_fields import LED, beam, colours, disc
+from tests.fringe_fields import LED, beam, colours, disc, order_from_colour
 from tests.refusals import refused
 
 from palpate.core.errors import InputError, RangeError
@@ -16,7 +16,6 @@ from palpate.estimators.fringe_map import (
     grey_order,
     measured_noise,
     nearest_colour,
-    order_from_colour,
     table_of,
 )
 from palpate.optics.colour import encode_srgb

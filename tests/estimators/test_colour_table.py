@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tests.fringe_fields import LED, beam, colours, disc
+from tests.fringe_fields import LED, beam, colours, disc, order_from_colour
 from tests.refusals import refused
 
 from palpate.core.errors import InputError, RangeError
@@ -12,7 +12,6 @@ from palpate.estimators.fringe_map import (
     disc_orders,
     line_orders,
     measured_table,
-    order_from_colour,
     read_table,
     table_of,
 )
@@ -57,13 +56,6 @@ def test_a_measured_table_reads_a_camera_that_no_assumed_curve_fits():
     assert (error / found.sigma[found.valid]).std() == pytest.approx(1.0, abs=0.12)
     assumed = order_from_colour(frame, table_of(LED), noise=0.01, mask=face)
     assert assumed.summary()["misfit_median"] > 2 * found.summary()["misfit_median"]
-
-
-def test_a_disc_s_centre_has_the_stated_order_and_its_loads_none():
-    N = disc_orders((101, 101), (50, 50, 100), 0.7)
-    assert N[50, 50] == pytest.approx(0.7)
-    assert np.isnan(N[2, 50])
-    assert N[50, 30] > N[50, 20]
 
 
 def test_a_table_comes_back_from_its_file(tmp_path):

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from palpate.core import RangeError
-from palpate.optics import LedStrip, backlight, strip_light, uneven_light
+from palpate.optics import LedStrip, strip_light
 
 X, Z = np.linspace(-28e-3, 28e-3, 113), np.linspace(-2e-3, 12e-3, 29)
 
@@ -19,14 +19,6 @@ def test_an_even_strip_is_even_and_a_sloped_one_brighter_on_its_side():
     np.testing.assert_allclose(light, light[:, ::-1])
     sloped = strip_light(LedStrip(slope_per_m=5.0), X, Z)
     assert sloped[:, -1].mean() > 1.05 * sloped[:, 0].mean()
-
-
-def test_the_lens_darkens_the_corners_on_top():
-    np.testing.assert_allclose(
-        backlight(LedStrip(), X, Z, 0.4),
-        strip_light(LedStrip(), X, Z) * uneven_light(29, 113, 0.4),
-        rtol=1e-6,
-    )
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from palpate.calibration.stress_optic_fit import Strip, fit_stress_optic
 from palpate.core import InputError
 from palpate.estimators.field_order import fit_field
 from palpate.estimators.fringe_light import one_line, white_led
-from palpate.estimators.fringe_map import order_from_colour, table_of
+from palpate.estimators.fringe_map import ColourReader, table_of
 
 PLATE = Strip(52e-3, 5.7e-3)
 SODIUM = one_line(589.3e-9)  # the photographs are sodium yellow; the lamp is not on record
@@ -119,4 +119,4 @@ def test_yellow_light_is_refused_where_colours_are_asked_for(plate) -> None:
     """One channel is dark and two are nearly one: nothing here validates orders from colour."""
     frame = np.asarray(Image.open(plate / "load100kgf.jpg").convert("RGB"))
     with refused("one-color-only", InputError):
-        order_from_colour(frame, table_of(white_led()))
+        ColourReader(table_of(white_led())).read(frame)

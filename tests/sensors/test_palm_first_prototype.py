@@ -1,19 +1,16 @@
 import sys
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.refusals import refused
 
-from palpate.core import InputError, Pose
+from palpate.core import Pose
 from palpate.sensors import palm
 from palpate.sensors.palm import fringe_orders
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 
-from oracles import first_prototype
 
 SPEC = palm.debug()
 GREEN_M = 550e-9
@@ -22,33 +19,6 @@ HERTZ = 0.439  # greatest order under a Hertzian contact seen edge-on, in C F / 
 
 def pressed(depth_m, x_m=0.0, y_m=0.0):
     return palm.press(SPEC, Pose(x_m, y_m, depth_m))
-
-
-def test_from_below_a_dark_cross_lies_along_the_polarisers():
-    along = replace(SPEC, polariser_rad=0.0)
-    seen = first_prototype.from_below(pressed(3e-3), along, pixels=101)
-    leak = (1 - first_prototype.POLARISED) / 2 + first_prototype.POLARISED * SPEC.extinction
-    rim = (
-        first_prototype.MIDDLE_OVER_RIM
-        + (1 - first_prototype.MIDDLE_OVER_RIM) * (seen.x_m / SPEC.radius_m) ** 2
-    )
-    np.testing.assert_allclose(seen.light[50], rim[:, None] * leak * np.ones(3), atol=1e-6)
-    np.testing.assert_allclose(seen.light[:, 50], rim[:, None] * leak * np.ones(3), atol=1e-6)
-    diagonal = seen.light[np.arange(101), np.arange(101), 1]
-    assert diagonal.max() > 1.3 * leak * rim[50]
-
-
-def test_only_the_palms_own_ball_pressed_straight_is_compared():
-    punch = palm.press(SPEC, Pose(0.0, 0.0, 1e-3), palm.parse_probe("punch:6"))
-    pushed = palm.press(SPEC, Pose(0.0, 0.0, 1e-3), palm.parse_probe("sphere:10"), (0.2, 0.0))
-    for contact in (punch, pushed):
-        for law in (
-            first_prototype.from_below,
-            first_prototype.quality_below,
-            first_prototype.quality_edge_on,
-        ):
-            with refused("other-ball", InputError):
-                law(contact, SPEC)
 
 
 @pytest.mark.parametrize("force_n", [2.0])

@@ -10,7 +10,7 @@ from tests.refusals import refused
 from palpate.core import Pose, PressHistory, RangeError
 from palpate.sensors import palm
 from palpate.sensors.palm.palm_sensor import Palm
-from palpate.sensors.palm.probe_stress import is_pulled_ball, stress_about
+from palpate.sensors.palm.probe_stress import is_pulled_ball, laid_of
 
 SPEC = palm.cropped(palm.debug(), 40, "small")
 MM = 1e-3
@@ -62,8 +62,8 @@ def test_a_pull_to_the_right_is_that_to_the_left_mirrored():
 
 def test_the_base_holds_the_pull_and_the_press():
     contact = pressed(4.0, (2.0, -1.0))
-    near = stress_about(SPEC, contact).far.stress_pa[-1]
-    cell = stress_about(SPEC, contact).far.cell_m[0] ** 2
+    near = laid_of(SPEC, contact).far.stress_pa[-1]
+    cell = laid_of(SPEC, contact).far.cell_m[0] ** 2
     held = near[3].sum() * cell, near[4].sum() * cell
     # Some 5 % are carried next to the rim, where the stress is faded out.
     assert -1.0 < held[0] / 2.0 < -0.75
@@ -80,7 +80,7 @@ def test_a_rim_that_is_applied_has_its_part_of_the_load():
     cell = (more.x_m[1] - more.x_m[0]) ** 2
     np.testing.assert_allclose(more.shear_pa.sum(axis=(1, 2)) * cell, [1.0, 0.0], atol=1e-6)
     assert more.lateral_n[1] == pytest.approx(still.lateral_n[1])
-    far = stress_about(applied, more).far
+    far = laid_of(applied, more).far
     held_x, held_y = (float(far.stress_pa[-1, which].sum()) * far.cell_m[0] ** 2 for which in (3, 4))
     assert -1.0 < held_x < -0.75
     assert abs(held_y) < 0.05, "the rim's own load is none of the pull's"

@@ -12,9 +12,9 @@ from palpate.mechanics.layers.contact_solver import press_stack
 from palpate.sensors import palm
 from palpate.sensors.palm.palm_press import (
     LINEAR_DEPTH_M,
-    has_punch_table,
-    punch_table_of,
+    has_table,
     stack_of,
+    table_of,
 )
 from palpate.sensors.palm.palm_sensor import Palm
 from palpate.sensors.palm.probe_shapes import gap_of
@@ -38,7 +38,7 @@ def linear_force(words, depth_m):
 @pytest.mark.parametrize("words", PUNCHES)
 def test_a_punch_is_pressed_by_its_table_by_itself_to_the_tables_depth(words):
     probe = palm.parse_probe(words)
-    table = punch_table_of(SPEC, probe)
+    table = table_of(SPEC, probe)
     for share in (0.1, 0.5, 1.0):
         contact = pressed(words, share * table.greatest_depth * probe.radius_m)
         assert is_punched(contact)
@@ -59,7 +59,7 @@ def test_a_light_press_is_that_of_linear_layers_and_a_deep_one_is_not(words):
 
 @pytest.mark.parametrize("words", ["punch:7", "punch:8@5:0"])
 def test_without_a_table_linear_layers_press_and_hold_to_their_depth(words):
-    assert not has_punch_table(SPEC, palm.parse_probe(words))
+    assert not has_table(SPEC, palm.parse_probe(words))
     contact = pressed(words, 1.2e-3)
     assert not is_punched(contact)
     with refused("outside-linear-range", RangeError, match=r"1\.5 mm"):
@@ -89,7 +89,7 @@ def test_other_membranes_leave_a_punch_to_linear_layers_and_so_does_a_deep_pull(
         replace(SPEC, poisson_ratio=0.48),
         replace(SPEC, diameter_m=50e-3),
     ):
-        assert not has_punch_table(other, palm.parse_probe("punch:8"))
+        assert not has_table(other, palm.parse_probe("punch:8"))
 
 
 def test_a_rigs_law_of_a_punch_is_the_tables_and_reaches_as_deep():

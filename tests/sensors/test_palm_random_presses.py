@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from tests.refusals import refused
 
-from palpate.core import Pose
 from palpate.core.errors import InputError
 from palpate.sensors import palm
-from palpate.sensors.palm.palm_press import depth_of_force
-from palpate.sensors.palm.palm_variation import PRESS_LAW
 from palpate.sensors.palm.random_presses import draw_presses
 
 SPEC = palm.cropped(palm.palm(), 32, "test")
@@ -39,25 +34,6 @@ def test_every_frame_is_drawn_and_told_of(alone) -> None:
     assert alone.press.tolist() == np.repeat(np.arange(3), 4).tolist()
     assert told[-1] == (15, 15)
     assert np.diff([done for done, _ in told]).min() > 0
-
-
-def test_a_label_s_force_is_that_of_a_palm_that_the_law_has(alone) -> None:
-    softest, hardest = PRESS_LAW.modulus[0], PRESS_LAW.modulus[1] * PRESS_LAW.stiffening[1]
-    for depth_mm, x_mm, y_mm, force_n in alone.values.astype(float):
-        # Where contact is called lies at most where the softest skin carries the greatest threshold.
-        ends = []
-        for share, thick, later in (
-            (softest, PRESS_LAW.thickness[1], 0.0),
-            (hardest, PRESS_LAW.thickness[0], 1.0),
-        ):
-            skin = replace(
-                SPEC, youngs_modulus_pa=SPEC.youngs_modulus_pa * share, thickness_m=SPEC.thickness_m * thick
-            )
-            soft = replace(skin, youngs_modulus_pa=SPEC.youngs_modulus_pa * softest)
-            zero_m = later * (depth_of_force(soft, PRESS_LAW.threshold_n[1]) + 1e-3 * PRESS_LAW.late_mm[1])
-            depth_m = max(1e-3 * depth_mm + zero_m, 0.0)
-            ends.append(palm.press(skin, Pose(1e-3 * x_mm, 1e-3 * y_mm, depth_m)).force_n)
-        assert ends[0] <= force_n <= ends[1]
 
 
 def test_a_frame_shows_its_own_press_and_the_hanging_probe_shows_none(alone) -> None:

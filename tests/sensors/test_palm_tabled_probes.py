@@ -13,7 +13,7 @@ from palpate.sensors.palm import fringe_orders
 from palpate.sensors.palm.palm_press import LINEAR_DEPTH_M, press_layers
 from palpate.sensors.palm.palm_sensor import Palm
 from palpate.sensors.palm.probe_shapes import has_probe_table, probe_table_of, probes_with_table
-from palpate.sensors.palm.probe_stress import stress_beneath
+from palpate.sensors.palm.probe_stress import laid_of
 
 SPEC = palm.preset("debug")
 PROBES = probes_with_table(SPEC).split(", ")
@@ -99,9 +99,7 @@ def test_a_refusal_names_no_probe_that_this_membrane_has_no_table_of() -> None:
 @pytest.mark.parametrize(("words", "depth"), [(PROBES[0], 0.1e-3), (PROBES[-1], 0.3e-3)])
 @pytest.mark.cases(1)
 def test_stress_joins_where_the_table_takes_over(words, depth):
-    below, above = (
-        stress_beneath(SPEC, pressed(f"{words}:30", depth + off)).far.stress_pa for off in (-1e-9, 1e-9)
-    )
+    below, above = (laid_of(SPEC, pressed(f"{words}:30", depth + off)).far.stress_pa for off in (-1e-9, 1e-9))
     np.testing.assert_allclose(below, above, atol=1e-4 * np.abs(above).max())
 
 

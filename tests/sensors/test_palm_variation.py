@@ -62,12 +62,3 @@ def test_a_lens_blurs_the_frame_before_the_camera_adds_its_noise() -> None:
     assert steepest[1] < 0.6 * steepest[0]
     noise = [f.std(axis=0).mean() for f in (sharp_frames, soft_frames)]
     assert_allclose(noise[1], noise[0], rtol=0.1)
-
-
-def test_both_regions_alone_are_those_of_the_whole_frame_behind_a_lens() -> None:
-    spec = replace(SPEC, chain=ImageChain(blur_px=0.7, distortion=0.02, jpeg_quality=90))
-    contact = palm.press(spec, Pose(2e-3, 1e-3, 2e-3))
-    views = palm.render_views(contact, spec, np.random.default_rng(0))
-    whole = frame(spec)
-    assert_array_equal(views[0], whole[spec.fringes.window])
-    assert_array_equal(views[1], whole[spec.mirror.window])

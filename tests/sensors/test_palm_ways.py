@@ -6,7 +6,7 @@ import pytest
 
 from palpate.core import Pose, Probe
 from palpate.sensors import palm
-from palpate.sensors.palm import fringe_rays, fringe_view, palm_press
+from palpate.sensors.palm import fringe_rays, fringe_view, palm_press, probe_stress
 
 SPEC = palm.debug()
 STEP = 1 / 255  # of light: an 8-bit step
@@ -34,7 +34,7 @@ def rms(difference):
 @pytest.fixture
 def coarse(monkeypatch):
     """A quarter of the planes of stress and fewer cells: 1e-3 rms of light off, and ten times as fast."""
-    monkeypatch.setattr(fringe_rays, "PLANES", 12)
+    monkeypatch.setattr(probe_stress, "PLANES", 12)
     monkeypatch.setattr(import_module("palpate.sensors.palm.palm_press"), "CELLS", 96)
 
 
@@ -86,7 +86,8 @@ def test_finer_planes_slices_and_rays_change_no_8_bit_step(words, lateral_n, mon
     spec = palm.cropped(SPEC, 32, "small")
     contact = layered(words, lateral_n=lateral_n)
     one = fringe_rays.march_contact(spec, contact)
-    for name, value in (("PLANES", 40), ("SLICES", 160), ("MORE_SLICES", 80), ("MAX_ACROSS_M", 0.05e-3)):
+    monkeypatch.setattr(probe_stress, "PLANES", 40)
+    for name, value in (("SLICES", 160), ("MORE_SLICES", 80), ("MAX_ACROSS_M", 0.05e-3)):
         monkeypatch.setattr(fringe_rays, name, value)
     two = fringe_rays.march_contact(spec, contact)
     assert rms(below(one - two, 1.1e-3, spec)) < 0.1 * STEP

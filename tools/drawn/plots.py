@@ -19,7 +19,7 @@ from palpate.mechanics.layers.bonded_layer import sphere_force
 from palpate.optics import round_rim
 from palpate.reports.calibration_figures import ACCENT, BAD, BAND, INK
 from palpate.sensors.palm.fringe_orders import edge_on
-from palpate.sensors.palm.palm_press import field_of, pressed
+from palpate.sensors.palm.palm_press import field_at
 
 N = SPEC.refractive_index
 DEPTHS = (1, 2, 3, 4, 5)
@@ -29,7 +29,7 @@ def stress() -> Figure:
     """Stress of the mid-plane, and fringe orders of the rays, at three depths."""
     figure, grid = sheet(2, 3, (9.4, 4.1))
     for [above, below], depth in zip(grid.T, (1.0, 3.0, 5.0), strict=True):
-        field = field_of(pressed(SPEC, depth * 1e-3), SPEC)
+        field = field_at(SPEC, depth * 1e-3)
         near = field.r_m * 1e3 <= 12
         r, top = field.r_m[near] * 1e3, field.surface_m[near] * 1e3
         rr, _, zz, rz = field.stress_pa[..., near]

@@ -17,7 +17,7 @@ import numpy as np
 from palpate.core import Contact, Float, InputError, ndarray
 from palpate.sensors.palm import fringe_view
 from palpate.sensors.palm.fringe_orders import WAVELENGTH_M, edge_on
-from palpate.sensors.palm.palm_press import field_of, pressed
+from palpate.sensors.palm.palm_press import field_at
 from palpate.sensors.palm.palm_render import is_ball, lamp, render_clean
 from palpate.sensors.palm.palm_spec import PalmSpec
 
@@ -87,7 +87,7 @@ def from_below(contact: Contact, spec: PalmSpec, pixels: int = 300) -> FromBelow
 
 def through_thickness(spec: PalmSpec, depth_m: float) -> tuple[Float[ndarray, " n"], Float[ndarray, " n"]]:
     """The integral of s_rr - s_tt over the depth [Pa m], at each distance from the contact's axis [m]."""
-    field = field_of(pressed(spec, depth_m), spec)
+    field = field_at(spec, depth_m)
     rr, tt, _, _ = field.stress_pa
     height = field.thickness_m - field.surface_m
     return field.r_m, np.trapezoid(rr - tt, field.zeta, axis=0) * height

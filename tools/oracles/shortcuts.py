@@ -33,7 +33,7 @@ from palpate.optics.polariscope import with_leak
 from palpate.sensors import palm
 from palpate.sensors.palm import PalmSpec, View, fringe_view
 from palpate.sensors.palm.fringe_orders import integrated
-from palpate.sensors.palm.palm_press import depth_of_force, field_of, pressed
+from palpate.sensors.palm.palm_press import depth_of_force, field_at
 
 GREEN_M = 550e-9
 FARTHEST = 4.427  # R from the axis that a press was solved at, a hair inside the grid's outermost places
@@ -41,7 +41,7 @@ FARTHEST = 4.427  # R from the axis that a press was solved at, a hair inside th
 
 def _midplane(spec: PalmSpec, depth_m: float) -> tuple[ndarray, ndarray, float, tuple[ndarray, ndarray]]:
     """Offsets, heights, and the mid-plane's two stresses on them, below the dimple."""
-    field = field_of(pressed(spec, depth_m), spec)
+    field = field_at(spec, depth_m)
     s = np.linspace(-2, 2, 161) * spec.indenter_radius_m
     z = np.linspace(depth_m, spec.thickness_m, 82)[1:-1]
     top = np.interp(np.abs(s), field.r_m, field.surface_m)
@@ -54,7 +54,7 @@ def _midplane(spec: PalmSpec, depth_m: float) -> tuple[ndarray, ndarray, float, 
 def baseline(spec: PalmSpec, depth_m: float) -> tuple[ndarray, ndarray, ndarray, float, ndarray, ndarray]:
     """The one-slice image over 57 mm, that over the best path, the marched one; that path; where they are."""
     s, z, _, middle = _midplane(spec, depth_m)
-    field = field_of(pressed(spec, depth_m), spec)
+    field = field_at(spec, depth_m)
     summed = integrated(field, np.abs(s), z)
     path = best_path(*middle, summed[0], summed[1] * np.sign(s))
     C = spec.stress_optic.coefficient_per_pa

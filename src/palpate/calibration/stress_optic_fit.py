@@ -47,10 +47,6 @@ class Strip:
         """Breadth b that divides P in N = C P / (b l0) [m]."""
         return self.width_m
 
-    def stress_pa(self, load_n: float) -> float:
-        """s1 - s2 at a load [Pa]."""
-        return load_n / (self.width_m * self.thickness_m)
-
     def __str__(self) -> str:
         return f"strip {self.width_m * 1e3:g} mm wide, {self.thickness_m * 1e3:g} mm thick"
 

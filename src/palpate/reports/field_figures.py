@@ -45,10 +45,8 @@ WORDS = {
     Untold.RIVAL: "another as likely",
     Untold.FAINT: "too uncertain",
     Untold.BEYOND: "beyond range",
-    Untold.APART: "apart from reference",
-    Untold.DENSE: "fringes too dense",
 }
-HUES = ("#cfe8e6", "#ffffff", "#d62728", "#8c564b", "#ff7f0e", "#7f7f7f", "#9467bd", "#1f77b4", "#bcbd22")
+HUES = ("#cfe8e6", "#ffffff", "#d62728", "#8c564b", "#ff7f0e", "#7f7f7f", "#9467bd")
 FRINGE_COLUMNS = ("frame", "told_share", "order_median", "order_greatest", "sigma_median", "misfit_median")
 
 
@@ -100,7 +98,7 @@ class OrderFiles:
 
 def map_arrays(found: OrderMap) -> dict[str, Any]:
     """Return a map as named arrays; the numbers of `why` are those of `Untold`."""
-    names = ("order", "sigma", "lead", "axis_rad", "misfit", "why")
+    names = ("order", "sigma", "lead", "misfit", "why")
     return {name: getattr(found, name) for name in names}
 
 

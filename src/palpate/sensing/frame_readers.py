@@ -9,26 +9,18 @@ import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 
 from palpate.calibration.shear import ForceFollower, ShearCalibration
-from palpate.core import Frame, Image, ImageError, InputError, PathText, Readings, storage_errors
+from palpate.core import Frame, ImageError, InputError, PathText, Readings, storage_errors
 from palpate.core.reading import Refusal
-from palpate.estimators.fringe_map import OrderMap
+from palpate.estimators.fringe_map import ColourReader, OrderMap
 from palpate.estimators.lattice import ControlPoints
 from palpate.estimators.shear import ShearReader, ShearTouch, TiledSkin
 from palpate.estimators.surface_strain import StrainFields
 from palpate.sensing.frame_sources import open_source
-
-
-@runtime_checkable
-class OrderReader(Protocol):
-    """What makes a map of one frame; `ColourReader` and `CameraReader` do."""
-
-    def read(self, image: Image, before: OrderMap | None = None) -> OrderMap:
-        """Map of a frame, which goes on from the one before where that is given."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,7 +56,7 @@ class MappedFrame:
 
 
 def read_orders(
-    frames: Iterable[Frame], reader: OrderReader, *, follow: bool = True
+    frames: Iterable[Frame], reader: ColourReader, *, follow: bool = True
 ) -> Iterator[MappedFrame]:
     """Fringe orders of each frame, in order; one that cannot be read says why and does not end the sequence.
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from palpate.calibration.stress_optic_fit import Disc, FringeFit, Strip
     from palpate.estimators.fringe_light import Polariscope
     from palpate.estimators.fringe_map import ColourTable
-    from palpate.sensing.frame_readers import MappedFrame, OrderReader
+    from palpate.sensing.frame_readers import MappedFrame
     from palpate.sensing.frame_sources import FileFrames
 
 
@@ -75,6 +75,9 @@ def _flow_text(result: Mapping[str, Any]) -> str:
     )
 
 
+Tone = Annotated[str, Option(help="srgb, or linear where the numbers are light.")]
+
+
 def fit_c(
     folder: Annotated[Path, Argument(help="Folder of photographs, one for each load.")],
     labels: Annotated[Path, Option(help="CSV or Parquet, one row a photograph; here or in the folder.")],
@@ -118,7 +121,7 @@ def fit_c(
     wavelength_error_nm: Annotated[
         float | None, Option(help="Standard uncertainty of the wavelength [nm]; 1, or 10 if white.")
     ] = None,
-    tone: Annotated[str, Option(help="srgb, or linear where the numbers are light.")] = "srgb",
+    tone: Tone = "srgb",
     out: Annotated[Path | None, Option(help="PNG of the fit to make; must not exist.")] = None,
 ) -> None:
     """Fit the stress-optic coefficient C from photographs.
@@ -131,8 +134,7 @@ def fit_c(
     from palpate.core.files import refuse_existing
 
     refuse_existing(out)
-    if tone not in ("srgb", "linear"):
-        raise InputError(f"--tone {tone!r} is not srgb or linear")
+    curve = _tone(tone)
     light = replace(
         _light(lamp, wavelength_nm, bandwidth_nm),
         dispersion_m2=dispersion_nm2 * 1e-18,
@@ -148,7 +150,7 @@ def fit_c(
             image_column=image_column,
             load_column=load_column,
             parallel=parallel,
-            tone=cast("Literal['srgb', 'linear']", tone),
+            tone=curve,
             greatest_order=max_order,
             residual_order=residual_order,
             errors=StatedErrors(
@@ -222,11 +224,8 @@ def _text(fit: FringeFit) -> str:
 
 
 LAMPS = ("led", "tungsten")
-STEPS = {"six-step": 6, "polarisation-camera": 4}
-CHANNELS = ("red", "green", "blue")
 SATURATED_CODE = 254
 MUCH = 3.0  # misfit over its freedom
-Tone = Annotated[str | None, Option(help="srgb, or linear where the numbers are light.")]
 White = Annotated[Path | None, Option(help="Unloaded specimen between parallel polarisers, same exposure.")]
 
 
@@ -234,10 +233,7 @@ def fringe_order(
     frames: Annotated[list[Path], Argument(help="Images, or one folder, run, video or multi-page TIFF.")],
     calibration: Annotated[
         str,
-        Option(
-            help="Colours: led or tungsten (assumed curves) or a CSV of colour-table. Phases: six-step or "
-            "polarisation-camera."
-        ),
+        Option(help="Colours of the orders: led or tungsten (assumed curves) or a CSV of colour-table."),
     ] = "led",
     out: Annotated[Path | None, Option(help="Folder of maps to make; must not exist.")] = None,
     white: White = None,
@@ -252,15 +248,7 @@ def fringe_order(
     plane: Annotated[
         bool, Option("--plane", help="Plane polariscope: light also falls with the axis; slower.")
     ] = False,
-    reference_px: Annotated[
-        str | None,
-        Option(
-            help="X,Y,ORDER of a place in the map, for phases, e.g. 200,140,0.3 [px]. A polarisation "
-            "camera's map is half as wide and high as its raw frame."
-        ),
-    ] = None,
-    channel: Annotated[str, Option(help="Of colour frames taken for phases: red, green or blue.")] = "green",
-    tone: Tone = None,
+    tone: Tone = "srgb",
     alone: Annotated[bool, Option("--alone", help="Read each frame for itself.")] = False,
 ) -> None:
     """Map the fringe order of every pixel, with its uncertainty.
@@ -270,38 +258,32 @@ def fringe_order(
     Example: palpate optics fringe-order disc.png --calibration beam.csv --out orders --json
     """
     from palpate.core import new_folder, refuse_existing
+    from palpate.estimators.fringe_map import ColourReader
     from palpate.sensing.frame_readers import read_orders
 
     refuse_existing(out)
-    if tone not in (None, "srgb", "linear"):
-        raise InputError(f"--tone {tone!r} is not srgb or linear")
-    inside = None if mask is None else _mask(mask)
+    curve = _tone(tone)
     with ExitStack() as stack:
-        if calibration in STEPS and (calibration == "six-step" or len(frames) > 1):
-            seen = iter([_stepped(frames, calibration, reference_px, inside, channel, tone, max_order)])
-            count = 1
-        else:
-            if calibration in STEPS:
-                from palpate.estimators.fringe_map import CameraReader
-
-                reader: OrderReader = CameraReader(
-                    _reference(reference_px), mask=inside, tone=_tone(tone, "linear")
-                )
-            else:
-                reader = _colours(calibration, max_order, colour_error, white, noise, inside, plane, tone)
-            source = _source(frames, stack)
-            seen, count = read_orders(source, reader, follow=not alone), len(source)
+        reader = ColourReader(
+            _table(calibration, max_order, colour_error),
+            noise=noise,
+            white=None if white is None else _white(white, None, curve),
+            mask=None if mask is None else _mask(mask),
+            tone=curve,
+            isoclinics=plane,
+        )
+        source = _source(frames, stack)
         progress = stack.enter_context(progress_bar())
         files = None
         if out is not None:
             from palpate.reports.field_figures import OrderFiles
 
             files = stack.enter_context(OrderFiles(stack.enter_context(new_folder(out))))
-        for done, one in enumerate(seen, 1):
+        for done, one in enumerate(read_orders(source, reader, follow=not alone), 1):
             say(json.dumps(one.to_dict(), allow_nan=False) if as_json() else _line(one))
             if files is not None and one.found is not None:
                 files.add(one.index, one.name, one.frame.image, one.found)
-            progress("frames", done, count)
+            progress("frames", done, len(source))
 
 
 def colour_table(
@@ -317,7 +299,7 @@ def colour_table(
     disc_px: Annotated[str | None, Option(help="X,Y,DIAMETER of a disc pressed from above [px].")] = None,
     centre_order: Annotated[float | None, Option(help="Order at the disc's centre.")] = None,
     white: White = None,
-    tone: Tone = None,
+    tone: Tone = "srgb",
 ) -> None:
     """Measure the colour of every fringe order on a known specimen.
 
@@ -349,9 +331,10 @@ def colour_table(
         disc = cast("tuple[float, float, float]", numbers_of(disc_px, 3, "--disc-px"))
         known = disc_orders(size, disc, centre_order)
     known[image.max(axis=2) >= SATURATED_CODE] = float("nan")
-    light = linear_light(image, _tone(tone, "srgb"))
+    curve = _tone(tone)
+    light = linear_light(image, curve)
     if white is not None:
-        light = light / _white(white, size, _tone(tone, "srgb"))
+        light = light / _white(white, size, curve)
     table = measured_table(light, known, photo.name)
     table.write(out)
     result = {
@@ -367,29 +350,6 @@ def colour_table(
     print_found(result, text)
 
 
-def _colours(
-    calibration: str,
-    max_order: float,
-    colour_error: float,
-    white: Path | None,
-    noise: float | None,
-    inside: np.ndarray | None,
-    plane: bool,
-    tone: str | None,
-) -> OrderReader:
-    from palpate.estimators.fringe_map import ColourReader
-
-    curve = _tone(tone, "srgb")
-    return ColourReader(
-        _table(calibration, max_order, colour_error),
-        noise=noise,
-        white=None if white is None else _white(white, None, curve),
-        mask=inside,
-        tone=curve,
-        isoclinics=plane,
-    )
-
-
 def _table(calibration: str, max_order: float, colour_error: float) -> ColourTable:
     from palpate.estimators.fringe_light import tungsten, white_led
     from palpate.estimators.fringe_map import read_table, table_of
@@ -397,10 +357,7 @@ def _table(calibration: str, max_order: float, colour_error: float) -> ColourTab
     if calibration in LAMPS:
         return table_of(white_led() if calibration == "led" else tungsten(), max_order, colour_error)
     if not calibration.lower().endswith(".csv"):
-        raise InputError(
-            f"--calibration {calibration!r} is not led, tungsten, six-step, polarisation-camera or the CSV "
-            "of a table"
-        )
+        raise InputError(f"--calibration {calibration!r} is not led, tungsten or the CSV of a table")
     return read_table(calibration)
 
 
@@ -415,58 +372,6 @@ def _white(path: Path, size: tuple[int, ...] | None, tone: Literal["srgb", "line
     if (image >= SATURATED_CODE).mean() > 0.1:
         raise InputError(f"{path} is saturated; expose it and the frames less")
     return flat_field(linear_light(image, tone))
-
-
-def _stepped(
-    paths: list[Path],
-    calibration: str,
-    reference_px: str | None,
-    inside: np.ndarray | None,
-    channel: str,
-    tone: str | None,
-    max_order: float,
-) -> MappedFrame:
-    import time
-
-    import numpy as np
-
-    from palpate.core import Frame
-    from palpate.estimators.fringe_map import CAMERA, SIX_STEPS, order_from_phases
-    from palpate.optics.colour import linear_light
-    from palpate.recordings import read_image
-    from palpate.sensing.frame_readers import MappedFrame
-
-    if len(paths) != STEPS[calibration]:
-        raise InputError(
-            f"{len(paths)} frames are given, and --calibration {calibration} takes {STEPS[calibration]}: "
-            "circular alike and opposite to the light (six-step alone), then linear at 0, 45, 90 and 135 "
-            "degrees"
-        )
-    if channel not in CHANNELS:
-        raise InputError(f"--channel {channel!r} is not red, green or blue")
-    images = [read_image(path) for path in paths]
-    if len({image.shape for image in images}) > 1:
-        raise InputError("the frames are not of one size and kind; take all alike")
-    grey = np.stack([i if i.ndim == 2 else i[..., CHANNELS.index(channel)] for i in images])
-    started = time.perf_counter()
-    found = order_from_phases(
-        linear_light(grey, _tone(tone, "srgb")),
-        SIX_STEPS if calibration == "six-step" else CAMERA,
-        _reference(reference_px),
-        greatest_order=max_order,
-        mask=inside,
-        saturated=np.asarray(grey.max(axis=0) >= SATURATED_CODE),
-    )
-    took = time.perf_counter() - started
-    return MappedFrame(0, Frame(images[0], name=paths[0].name), found, latency_s=took)
-
-
-def _reference(text: str | None) -> tuple[int, int, float]:
-    """Row, column and order."""
-    if text is None:
-        raise InputError("phases do not tell whole orders: give one place's, --reference-px X,Y,ORDER")
-    x, y, order = _floats(text, 3, "--reference-px")
-    return round(y), round(x), order
 
 
 def _source(paths: list[Path], stack: ExitStack) -> FileFrames:
@@ -490,8 +395,10 @@ def _mask(path: Path) -> np.ndarray:
     return np.asarray((image if image.ndim == 2 else image.max(axis=2)) > 127)
 
 
-def _tone(given: str | None, usual: Literal["srgb", "linear"]) -> Literal["srgb", "linear"]:
-    return usual if given is None else cast("Literal['srgb', 'linear']", given)
+def _tone(given: str) -> Literal["srgb", "linear"]:
+    if given not in ("srgb", "linear"):
+        raise InputError(f"--tone {given!r} is not srgb or linear")
+    return cast("Literal['srgb', 'linear']", given)
 
 
 def _floats(text: str, count: int, what: str) -> tuple[float, ...]:

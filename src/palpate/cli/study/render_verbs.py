@@ -95,7 +95,7 @@ def palm(
     )
     pose = Pose(x_mm * 1e-3, y_mm * 1e-3, depth_mm * 1e-3)
     contact = palms.press(spec, pose, probe, lateral)
-    frame = palms.render(contact, spec, np.random.default_rng(seed))
+    frame = palms.render(contact, spec, np.random.default_rng(seed), exact=None)
     result: dict[str, Any] = palms.contact_summary(contact, spec) | {"out": str(out)}
     with new_file(out) as path:
         path.write_bytes(image_files.encode(frame.image).tobytes())

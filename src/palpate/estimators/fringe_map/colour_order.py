@@ -406,7 +406,7 @@ class ColourReader:
         why[misfit > UNLIKE] = Untold.UNLIKE
         why[saturated] = Untold.SATURATED
         why[~inside] = Untold.OUTSIDE
-        return OrderMap(order, sigma, lead.reshape(size), np.full(size, np.nan, np.float32), misfit, why)
+        return OrderMap(order, sigma, lead.reshape(size), misfit, why)
 
     def _light(self, image: ndarray) -> Float32[ndarray, "h w 3"]:
         """Light over the white image's, without the leak."""
@@ -431,7 +431,7 @@ class ColourReader:
     def _check_shape(self, image: ndarray, before: OrderMap | None) -> None:
         if image.ndim != 3 or image.shape[2] != len(CHANNELS):
             raise InputError(
-                f"a frame of shape {image.shape} is grey or no RGB image; give color or phase-stepped frames",
+                f"a frame of shape {image.shape} is grey or no RGB image; give color frames",
                 code="no-color-image",
             )
         if image.dtype != np.uint8 and not np.isfinite(image).all():
@@ -456,7 +456,7 @@ class ColourReader:
             return False
         if np.ptp(bright, axis=1).max() < ALIKE:
             raise InputError(
-                "all three channels are the same: a grey image; give color or phase-stepped frames",
+                "all three channels are the same: a grey image; give color frames",
                 code="gray-image",
             )
         as_given, row = self._misfit(bright, (0, 1, 2))
@@ -518,24 +518,6 @@ class _Prepared:
 def flat_field(light: Float[ndarray, "h w 3"]) -> Float[ndarray, "h w 3"]:
     """Return white light by pixel, smoothed over noise and scratches."""
     return np.asarray(uniform_filter(light, (SMOOTHED, SMOOTHED, 0), mode="nearest"))
-
-
-def order_from_colour(
-    image: UInt8[ndarray, "h w *c"] | Float[ndarray, "h w *c"],
-    table: ColourTable,
-    *,
-    noise: FrameNoise | float | None = None,
-    white: Float[ndarray, "*n 3"] | None = None,
-    leak: Float[ndarray, " 3"] | None = None,
-    mask: Bool[ndarray, "h w"] | None = None,
-    tone: Tone = "srgb",
-    isoclinics: bool = False,
-) -> OrderMap:
-    """Return the fringe order of every pixel of one color frame; see `ColourReader`."""
-    reader = ColourReader(
-        table, noise=noise, white=white, leak=leak, mask=mask, tone=tone, isoclinics=isoclinics
-    )
-    return reader.read(image)
 
 
 def nearest_colour(light: Float[ndarray, "h w 3"], table: ColourTable) -> Float[ndarray, "h w"]:

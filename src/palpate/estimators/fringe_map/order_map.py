@@ -1,4 +1,4 @@
-"""Fringe order by pixel: the map that colours and phases both give, and why a pixel tells none.
+"""Fringe order by pixel: the map that colors give, and why a pixel tells none.
 
 Noise of a camera's light, and the scale on which it is the same at every light.
 """
@@ -23,7 +23,7 @@ class Untold(IntEnum):
 
     `OUTSIDE` of the mask. `SATURATED` in a channel or frame. `UNLIKE`: no order has its light. `RIVAL`:
     another order is nearly as likely. `FAINT`: standard deviation above a quarter order. `BEYOND`: at the end
-    of the calibrated orders. `APART`: no path of small steps leads to the known position.
+    of the calibrated orders.
     """
 
     TOLD = 0
@@ -33,8 +33,6 @@ class Untold(IntEnum):
     RIVAL = 4
     FAINT = 5
     BEYOND = 6
-    APART = 7
-    DENSE = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,7 +43,6 @@ class OrderMap:
         order: N; NaN if none was chosen.
         sigma: Standard deviation of N, given that the choice is right.
         lead: Log likelihood ratio of the choice to the next one, 0 to 50.
-        axis_rad: Axis of the larger index from x towards y; NaN from color.
         misfit: Reduced squared misfit; about 1 if noise explains it.
         why: Reason of `Untold`; 0 if valid.
     """
@@ -53,7 +50,6 @@ class OrderMap:
     order: Float32[ndarray, "h w"]
     sigma: Float32[ndarray, "h w"]
     lead: Float32[ndarray, "h w"]
-    axis_rad: Float32[ndarray, "h w"]
     misfit: Float32[ndarray, "h w"]
     why: UInt8[ndarray, "h w"]
 

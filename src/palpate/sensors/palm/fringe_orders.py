@@ -12,18 +12,17 @@ from scipy.interpolate import RegularGridInterpolator
 
 from palpate.core import Contact, Float, ndarray
 from palpate.mechanics.axisymmetric.shape_table import is_punched
-from palpate.mechanics.layers.stack_friction import field_below
 from palpate.mechanics.probe_contact import is_tabled_probe, probe_law
 from palpate.optics.march import AxisymmetricField
 from palpate.optics.stress_optic import fringe_order
 from palpate.sensors.palm.fringe_view import sees
 from palpate.sensors.palm.membrane_faults import pressed_at
-from palpate.sensors.palm.palm_press import field_of, field_under, pressed, punched, stack_of
+from palpate.sensors.palm.palm_press import field_at, pressed
 from palpate.sensors.palm.palm_render import is_ball
 from palpate.sensors.palm.palm_spec import PalmSpec
 from palpate.sensors.palm.press_corrections import applied_rim, rim_effect, rim_reach
 from palpate.sensors.palm.probe_shapes import probe_table_of
-from palpate.sensors.palm.probe_stress import Laid, is_pulled_ball, stress_about, stress_beneath, summed_along
+from palpate.sensors.palm.probe_stress import laid_of, summed_along
 
 WAVELENGTH_M = 550e-9
 NEAR = 6.0  # contact radii
@@ -45,8 +44,8 @@ class Orders(NamedTuple):
 
 def edge_on(spec: PalmSpec, depth_m: float, points: int = 121) -> Orders:
     """Return the orders within two ball radii and the thickness, or six contact radii under a light touch."""
-    press, R = pressed(spec, depth_m), spec.indenter_radius_m
-    return _orders(spec, field_of(press, spec), R, press.contact_radius * R, points)
+    R = spec.indenter_radius_m
+    return _orders(spec, field_at(spec, depth_m), R, pressed(spec, depth_m).contact_radius * R, points)
 
 
 def _orders(
@@ -55,9 +54,7 @@ def _orders(
     reach = NEAR * contact_radius_m or np.inf
     s = np.linspace(0, min(2 * R, reach), points)
     z = np.linspace(0, min(spec.thickness_m, reach), points)
-    difference, shear = integrated(field, s, z)
-    C = spec.stress_optic.at(np.array([WAVELENGTH_M]))[0]
-    return Orders(s, z, fringe_order(difference, shear, float(C), WAVELENGTH_M))
+    return Orders(s, z, _order(spec, *integrated(field, s, z)))
 
 
 def integrated(
@@ -113,37 +110,18 @@ def greatest_order(contact: Contact, spec: PalmSpec) -> float:
     if is_ball(contact, spec):
         return edge_on(spec, contact.pose.depth_m).greatest * applied_rim(spec, contact.pose).force_ratio
     if is_punched(contact) and contact.shear_pa is None:
-        under = field_under(spec, contact.probe, contact.pose.depth_m)
+        under = field_at(spec, contact.pose.depth_m, contact.probe)
         return _orders(spec, under, contact.probe.radius_m, contact.radius_m).greatest
-    if is_pulled_ball(contact):
-        return _laid_order(contact, spec, stress_about(spec, contact))
-    if is_punched(contact) or is_tabled_probe(contact):
-        return _laid_order(contact, spec, stress_beneath(spec, contact))
-    z = spec.thickness_m * np.linspace(0.02, 1, 40)
-    shear = (None, None) if contact.shear_pa is None else tuple(contact.shear_pa)
-    field = field_below(
-        stack_of(spec),
-        contact.pressure_pa,
-        contact.x_m,
-        contact.y_m,
-        z,
-        shear_x_pa=shear[0],
-        shear_y_pa=shear[1],
-    )
-    dy = float(contact.y_m[1] - contact.y_m[0])
-    difference = (field.stress("xx") - field.stress("zz")).sum(axis=1) * dy
-    C = float(spec.stress_optic.at(np.array([WAVELENGTH_M]))[0])
-    order = fringe_order(difference, 2 * field.stress("xz").sum(axis=1) * dy, C, WAVELENGTH_M)
-    return float(np.quantile(order, 0.999))
-
-
-def _laid_order(contact: Contact, spec: PalmSpec, laid: Laid) -> float:
-    """Order of a resampled stress, on rays that no surface blocks."""
+    laid = laid_of(spec, contact)
     x, difference, shear = summed_along(laid)
     sunk = np.interp(x, contact.x_m, contact.displacement_m.max(axis=0), left=0.0, right=0.0)
+    order = _order(spec, difference, 2 * shear)
+    return float(np.quantile(order[laid.planes_m[:, None] >= sunk], 0.999))  # on rays that no surface blocks
+
+
+def _order(spec: PalmSpec, difference: ndarray, shear: ndarray) -> Float[ndarray, "z s"]:
     C = float(spec.stress_optic.at(np.array([WAVELENGTH_M]))[0])
-    order = fringe_order(difference, 2 * shear, C, WAVELENGTH_M)
-    return float(np.quantile(order[laid.planes_m[:, None] >= sunk], 0.999))
+    return fringe_order(difference, shear, C, WAVELENGTH_M)
 
 
 def _rim_facts(contact: Contact, spec: PalmSpec) -> dict[str, Any]:
@@ -172,6 +150,6 @@ def _peak_pressure(contact: Contact, spec: PalmSpec) -> float | None:
         press, effect = pressed(spec, contact.pose.depth_m), applied_rim(spec, contact.pose)
         return float(press.peak_pressure * spec.youngs_modulus_pa * effect.force_ratio)
     if is_punched(contact):
-        press = punched(spec, contact.probe, contact.pose.depth_m)
+        press = pressed(spec, contact.pose.depth_m, contact.probe)
         return float(press.peak_pressure * spec.youngs_modulus_pa)
     return float(contact.pressure_pa.max())

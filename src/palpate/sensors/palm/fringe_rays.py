@@ -9,23 +9,19 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 from scipy.ndimage import map_coordinates
 
 from palpate.core import Contact, Float, Float32, ndarray
-from palpate.mechanics.axisymmetric.shape_table import is_punched
-from palpate.mechanics.layers.layer_stress import OnGrid, stress_under
-from palpate.mechanics.probe_contact import is_tabled_probe
+from palpate.mechanics.layers.layer_stress import OnGrid
 from palpate.optics.march import march_colour
 from palpate.optics.polariscope import ColumnRays, plane_amplitude, with_leak
 from palpate.sensors.palm import fringe_view
 from palpate.sensors.palm.membrane_faults import frozen_at
 from palpate.sensors.palm.palm_spec import PalmSpec
 from palpate.sensors.palm.probe_shapes import parts_of, silhouette
-from palpate.sensors.palm.probe_stress import Laid, is_pulled_ball, rows_of, stress_about, stress_beneath
+from palpate.sensors.palm.probe_stress import laid_of, rows_of
 
 # These values limit the light's error to 0.1 of 255 (rms), 1 at most.
-PLANES = 20  # planes of stress, finest at the surface
 SLICES = 64
 MORE_SLICES = 32  # additional slices for each further point that they crowd around
 FINE = 400  # points of a ray for the layout of its slices
@@ -137,7 +133,9 @@ def _marched(
     places: Places,
     z: Float[ndarray, " h"],
 ) -> Float32[ndarray, "h c 3"]:
-    (planes, near, far), onto = _laid(spec, contact, z)
+    laid = laid_of(spec, contact)
+    planes, near, far, _ = laid
+    onto = rows_of(laid, z)
     seen = fringe_view.spectrum(spec.bands)
     light = np.empty((len(z), len(chosen), 3), np.float32)
     for first in range(0, len(chosen), COLUMNS):
@@ -152,18 +150,6 @@ def _marched(
             plane_amplitude(spec.polariser_rad, spec.bands),
         )
     return np.asarray(with_leak(light, spec.extinction), dtype=np.float32)
-
-
-def _laid(spec: PalmSpec, contact: Contact, z: Float[ndarray, " h"]) -> tuple[Laid, Float32[ndarray, "h n"]]:
-    """Stress on planes, and their weights for the image's rows."""
-    if is_pulled_ball(contact) or is_punched(contact) or is_tabled_probe(contact):
-        laid = (stress_about if is_pulled_ball(contact) else stress_beneath)(spec, contact)
-        return laid, rows_of(laid.planes_m, z)
-    planes = spec.thickness_m * np.linspace(0, 1, PLANES) ** 2
-    load = contact.pressure_pa, contact.x_m, contact.y_m, contact.shear_pa
-    near, far = stress_under(spec.thickness_m, spec.poisson_ratio, planes, *load)
-    onto = CubicSpline(np.sqrt(planes), np.eye(PLANES))(np.sqrt(z)).astype(np.float32)
-    return Laid(planes, near, far), onto
 
 
 def _read(

@@ -29,7 +29,7 @@ from palpate.sensors.palm.membrane_faults import (
     modulus_ratio,
     thickness_at,
 )
-from palpate.sensors.palm.palm_press import field_at, field_under
+from palpate.sensors.palm.palm_press import field_at, own_ball
 from palpate.sensors.palm.palm_spec import PalmSpec, View
 from palpate.sensors.palm.press_corrections import applied_rim
 from palpate.sensors.palm.probe_shapes import silhouette
@@ -86,19 +86,13 @@ def sees(spec: PalmSpec, x_m: float, y_m: float, within_m: float = 0.0) -> bool:
 
 
 @cache_within(MARCHES_BYTES)
-def march_fringes(spec: PalmSpec, depth_m: float, x_m: float, y_m: float, slices: int = SLICES) -> Light:
-    """March every ray from wall to wall (cached, read-only)."""
-    here, ratio = _found_by(spec, Pose(x_m, y_m, depth_m))
-    return _all_marched(_stressed(here, ratio), Pose(x_m, y_m, depth_m), None, slices)
-
-
-@cache_within(MARCHES_BYTES)
-def march_punch(spec: PalmSpec, probe: Probe, pose: Pose, slices: int = SLICES) -> Light:
-    """March every ray under a tabled upright punch (cached, read-only)."""
-    return _all_marched(spec, pose, probe, slices)
-
-
-def _all_marched(spec: PalmSpec, pose: Pose, punch: Probe | None, slices: int) -> Light:
+def march_fringes(
+    spec: PalmSpec, depth_m: float, x_m: float, y_m: float, slices: int = SLICES, punch: Probe | None = None
+) -> Light:
+    """March every ray from wall to wall, under the ball or a tabled upright punch (cached, read-only)."""
+    pose = Pose(x_m, y_m, depth_m)
+    if punch is None:
+        spec = _stressed(*_found_by(spec, pose))
     view = spec.fringes.sampled(*spec.rays_per_pixel)
     width, height = view.size_px
     light = np.full((height, width, 3), spec.extinction, np.float32)
@@ -261,8 +255,8 @@ def _marched(
     slices: int = SLICES,
     punch: Probe | None = None,
 ) -> Light:
-    probe = Probe("sphere", spec.indenter_radius_m) if punch is None else punch
-    field = field_at(spec, depth_m) if punch is None else field_under(spec, punch, depth_m)
+    probe = own_ball(spec) if punch is None else punch
+    field = field_at(spec, depth_m, probe)
     seen = spectrum(spec.bands)
     light = np.full((len(z), len(offset_m), 3), spec.extinction, np.float32)
     skin = (z >= field.surface_m.min()) & (z <= field.thickness_m)  # no other row meets any

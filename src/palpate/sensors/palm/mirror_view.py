@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
 
 import cv2
 import numpy as np
@@ -142,36 +141,18 @@ def _ball_surface(spec: PalmSpec, depth_m: float) -> tuple[BallSurface, tuple[fl
     return BallSurface(press, R, depth_m), (float(press.surface.min()) * R, float(press.surface.max()) * R)
 
 
-@runtime_checkable
-class Surface(Protocol):
-    """Upper surface of the membrane and the probe on it, around the contact's axis [m]."""
-
-    def at(self, x: ndarray, y: ndarray) -> ndarray:
-        """Depth z."""
-        ...
-
-    def slopes(self, x: ndarray, y: ndarray) -> tuple[ndarray, ndarray]:
-        """Slopes along x and y."""
-        ...
-
-    def touching(self, x: ndarray, y: ndarray) -> ndarray:
-        """Mask of contact with the probe."""
-        ...
-
-    def beside(self, place: ndarray, out: ndarray) -> ndarray:
-        """Cosine at which a line of sight that has left the membrane meets the probe; 0 for a miss."""
-        ...
-
-
 @dataclass(frozen=True, slots=True)
 class BallSurface:
-    """Surface under a ball from the finite-strain table; negative depth is a ball above it."""
+    """Upper surface of the membrane under a ball, from the finite-strain table; negative depth is a ball
+    above it. Positions are relative to the contact's axis [m].
+    """
 
     press: TabulatedPress
     radius_m: float
     depth_m: float
 
     def at(self, x: ndarray, y: ndarray) -> ndarray:
+        """Depth z."""
         return np.interp(np.hypot(x, y), self.press.r * self.radius_m, self._surface, right=0.0)
 
     def slopes(self, x: ndarray, y: ndarray) -> tuple[ndarray, ndarray]:
@@ -184,6 +165,7 @@ class BallSurface:
         return np.asarray(np.hypot(x, y) < self.press.contact_radius * self.radius_m)
 
     def beside(self, place: ndarray, out: ndarray) -> ndarray:
+        """Cosine at which a line of sight that has left the membrane meets the probe; 0 for a miss."""
         if self.depth_m == 0:
             return np.zeros(place.shape[1:])
         R = self.radius_m
@@ -198,7 +180,7 @@ class BallSurface:
 
 
 class GridSurface:
-    """Surface under any probe from a contact's grid; the probe is visible only where it touches."""
+    """The same under any probe, from a contact's grid; the probe is visible only where it touches."""
 
     def __init__(self, contact: Contact) -> None:
         x, y = contact.x_m - contact.pose.x_m, contact.y_m - contact.pose.y_m
@@ -222,6 +204,9 @@ class GridSurface:
 
     def _part(self, x: ndarray, y: ndarray, which: int) -> ndarray:
         return np.asarray(self._read(np.stack([y, x], axis=-1))[..., which])
+
+
+Surface = BallSurface | GridSurface
 
 
 def _traced(spec: PalmSpec, surface: Surface, reach_m: tuple[float, float], x: ndarray, y: ndarray) -> Grey:

@@ -17,7 +17,7 @@ from scipy.optimize import brentq
 
 from palpate.core import Contact, Float, InputError, Pose, Probe, RangeError, ndarray
 from palpate.core.errors import MaterialStrainError
-from palpate.mechanics.axisymmetric.disc_table import SAME, TabulatedPress
+from palpate.mechanics.axisymmetric.disc_table import SAME, DiscTable, TabulatedPress
 from palpate.mechanics.axisymmetric.pulled_sphere import (
     FULL,
     MAX_SHIFT,
@@ -54,110 +54,97 @@ FADED = (0.75, 0.95)
 Knots = Float[ndarray, " n"]
 
 
-def _table_of(spec: PalmSpec) -> SphereTable | None:
-    R = spec.indenter_radius_m
-    return _table(spec.thickness_m / R, spec.radius_m / R, spec.poisson_ratio, spec.friction)
+TABLES: dict[str, type[SphereTable] | type[PunchTable]] = {"sphere": SphereTable, "punch": PunchTable}
+Proportions = tuple[str, float, float, float, float]
+
+
+def own_ball(spec: PalmSpec) -> Probe:
+    """Return the spec's ball."""
+    return Probe("sphere", spec.indenter_radius_m)
+
+
+def _proportions(spec: PalmSpec, probe: Probe) -> Proportions:
+    """What a table depends on; lengths are in the probe's radius."""
+    R = probe.radius_m
+    return probe.shape, spec.thickness_m / R, spec.radius_m / R, spec.poisson_ratio, spec.friction
 
 
 @lru_cache(maxsize=32)
-def _table(thickness: float, disc_radius: float, poisson_ratio: float, friction: float) -> SphereTable | None:
-    try:
-        table = SphereTable.of_disc(thickness, friction, poisson_ratio)
-    except RangeError:
+def _table(
+    shape: str, thickness: float, disc_radius: float, poisson_ratio: float, friction: float
+) -> DiscTable | None:
+    if not TABLES[shape].holds(thickness, friction, poisson_ratio):
         return None
+    table = TABLES[shape].of_disc(thickness, friction, poisson_ratio)
     return table if table.disc_radius <= disc_radius * (1 + SAME) else None
 
 
-def has_table(spec: PalmSpec) -> bool:
-    """Return whether a table exists for the spec's membrane under its ball."""
-    R = spec.indenter_radius_m
-    wide = spec.radius_m >= TABLE_RADIUS * R * (1 - SAME)
-    return wide and SphereTable.holds(spec.thickness_m / R, spec.friction, spec.poisson_ratio)
+def _table_of(spec: PalmSpec, probe: Probe) -> DiscTable | None:
+    tabled = probe == own_ball(spec) or (probe.shape == "punch" and not probe.tilt_rad)
+    return _table(*_proportions(spec, probe)) if tabled else None
 
 
-def table_of(spec: PalmSpec) -> SphereTable:
-    """Return the shipped table with the spec's proportions."""
-    if (table := _table_of(spec)) is not None:
+def has_table(spec: PalmSpec, probe: Probe | None = None) -> bool:
+    """Return whether a table exists for the spec's membrane under its ball (default) or an upright punch."""
+    return _table_of(spec, own_ball(spec) if probe is None else probe) is not None
+
+
+def table_of(spec: PalmSpec, probe: Probe | None = None) -> DiscTable:
+    """Return the shipped table with the spec's proportions, of its ball (default) or of an upright punch."""
+    probe = own_ball(spec) if probe is None else probe
+    if (table := _table_of(spec, probe)) is not None:
         return table
-    R = spec.indenter_radius_m
+    R, kind = probe.radius_m, TABLES.get(probe.shape, PunchTable)
     known = "; ".join(
         f"{t.thickness * R * 1e3:g} mm thick, {2 * t.disc_radius * R * 1e3:g} mm wide or more, "
         f"nu {t.poisson_ratio:g}, friction {t.friction:g}"
-        for t in map(SphereTable.load, SphereTable.shipped())
+        for t in map(kind.load, kind.shipped())
     )
     raise RangeError(
         f"no table for a membrane {spec.thickness_m * 1e3:g} mm thick, {spec.diameter_m * 1e3:g} mm wide, nu "
-        f"{spec.poisson_ratio:g}, friction {spec.friction:g} under a ball of {2 * R * 1e3:g} mm; with this "
-        f"ball there are: {known}"
+        f"{spec.poisson_ratio:g}, friction {spec.friction:g} under a {probe.shape} of {2 * R * 1e3:g} mm; "
+        f"upright, with this size, there are: {known}"
     )
 
 
-def pressed(spec: PalmSpec, depth_m: float) -> TabulatedPress:
-    """Return the table at one depth, in ball radii and moduli."""
-    R = spec.indenter_radius_m
-    proportions = spec.thickness_m / R, spec.radius_m / R, spec.poisson_ratio, spec.friction
-    kept = _pressed(proportions, depth_m / R)
-    return table_of(spec).at(depth_m / R) if kept is None else kept
+def pressed(spec: PalmSpec, depth_m: float, probe: Probe | None = None) -> TabulatedPress:
+    """Return the table at one depth, in radii of the probe (default: the ball) and moduli (cached)."""
+    probe = own_ball(spec) if probe is None else probe
+    table_of(spec, probe)
+    return _pressed(_proportions(spec, probe), depth_m / probe.radius_m)
 
 
 @lru_cache(maxsize=16)
-def _pressed(proportions: tuple[float, float, float, float], depth: float) -> TabulatedPress | None:
+def _pressed(proportions: Proportions, depth: float) -> TabulatedPress:
     table = _table(*proportions)
-    return None if table is None else table.at(depth)
+    assert table is not None
+    return table.at(depth)
 
 
-def field_at(spec: PalmSpec, depth_m: float) -> AxisymmetricField:
-    """Return the stress at one depth of the table (cached)."""
-    R = spec.indenter_radius_m
-    proportions = spec.thickness_m / R, spec.radius_m / R, spec.poisson_ratio, spec.friction
-    kept = _field_at(proportions, depth_m, R, spec.youngs_modulus_pa)
-    return field_of(pressed(spec, depth_m), spec) if kept is None else kept
-
-
-@lru_cache(maxsize=16)
-def _field_at(
-    proportions: tuple[float, float, float, float], depth_m: float, radius_m: float, modulus_pa: float
-) -> AxisymmetricField | None:
-    press = _pressed(proportions, depth_m / radius_m)
-    return None if press is None else _field(press, radius_m, modulus_pa, FINER)
-
-
-def has_punch_table(spec: PalmSpec, probe: Probe) -> bool:
-    """Return whether a table exists for the spec's membrane under this upright punch."""
-    return _punch_table(spec, probe) is not None
-
-
-def _punch_table(spec: PalmSpec, probe: Probe) -> PunchTable | None:
-    if probe.shape != "punch" or probe.tilt_rad:
-        return None
-    R = probe.radius_m
-    asked = spec.thickness_m / R, spec.friction, spec.poisson_ratio
-    if not PunchTable.holds(*asked):
-        return None
-    table = PunchTable.of_disc(*asked)
-    return table if table.disc_radius * R <= spec.radius_m * (1 + SAME) else None
-
-
-def punch_table_of(spec: PalmSpec, probe: Probe) -> PunchTable:
-    """Return the table of an upright punch."""
-    if (table := _punch_table(spec, probe)) is None:
-        raise RangeError(
-            f"no table for a {probe.shape} of {2e3 * probe.radius_m:g} mm on a membrane "
-            f"{spec.thickness_m * 1e3:g} mm thick and {spec.diameter_m * 1e3:g} mm wide, friction "
-            f"{spec.friction:g}; use an upright punch for which has_punch_table holds"
-        )
-    return table
+def field_at(spec: PalmSpec, depth_m: float, probe: Probe | None = None) -> AxisymmetricField:
+    """Return the stress at one depth of a table in SI units on finer knots, without the rim's own stress
+    (cached).
+    """
+    probe = own_ball(spec) if probe is None else probe
+    table_of(spec, probe)
+    return _field_at(_proportions(spec, probe), depth_m, probe.radius_m, spec.youngs_modulus_pa)
 
 
 @lru_cache(maxsize=16)
-def punched(spec: PalmSpec, probe: Probe, depth_m: float) -> TabulatedPress:
-    """Return the punch's table at one depth, in punch radii and moduli."""
-    return punch_table_of(spec, probe).at(depth_m / probe.radius_m)
-
-
-def field_under(spec: PalmSpec, probe: Probe, depth_m: float) -> AxisymmetricField:
-    """Return the stress under a tabled punch."""
-    return _field(punched(spec, probe, depth_m), probe.radius_m, spec.youngs_modulus_pa, FINER)
+def _field_at(proportions: Proportions, depth_m: float, R: float, E: float) -> AxisymmetricField:
+    press = _pressed(proportions, depth_m / R)
+    r, zeta = between(press.r, FINER), between(press.zeta, FINER)
+    stress = PchipInterpolator(press.zeta, np.asarray(press.stress, dtype=float), axis=1)(zeta)
+    stress = PchipInterpolator(press.r, stress, axis=2)(r)
+    start, end = FADED
+    share = np.clip((r / press.r[-1] - start) / (end - start), 0, 1)
+    return AxisymmetricField(
+        r_m=r * R,
+        zeta=zeta,
+        surface_m=PchipInterpolator(press.r, np.asarray(press.surface, dtype=float))(r) * R,
+        thickness_m=press.thickness * R,
+        stress_pa=stress * (E * (1 - share**2 * (3 - 2 * share))),
+    )
 
 
 def depth_of_force(spec: PalmSpec, force_n: float, x_m: float = 0.0, y_m: float = 0.0) -> float:
@@ -184,33 +171,12 @@ def depth_of_force(spec: PalmSpec, force_n: float, x_m: float = 0.0, y_m: float 
     return R * float(brentq(lambda d: force(d) - force_n, 0.0, table.greatest_depth, xtol=1e-13))
 
 
-def field_of(press: TabulatedPress, spec: PalmSpec, finer: int = FINER) -> AxisymmetricField:
-    """Return the stress of a tabled press in SI units on finer knots, without the rim's own stress."""
-    return _field(press, spec.indenter_radius_m, spec.youngs_modulus_pa, finer)
-
-
-def _field(press: TabulatedPress, R: float, E: float, finer: int) -> AxisymmetricField:
-    r, zeta = between(press.r, finer), between(press.zeta, finer)
-    stress = PchipInterpolator(press.zeta, np.asarray(press.stress, dtype=float), axis=1)(zeta)
-    stress = PchipInterpolator(press.r, stress, axis=2)(r)
-    start, end = FADED
-    share = np.clip((r / press.r[-1] - start) / (end - start), 0, 1)
-    return AxisymmetricField(
-        r_m=r * R,
-        zeta=zeta,
-        surface_m=PchipInterpolator(press.r, np.asarray(press.surface, dtype=float))(r) * R,
-        thickness_m=press.thickness * R,
-        stress_pa=stress * (E * (1 - share**2 * (3 - 2 * share))),
-    )
-
-
 def between(knots: Knots, finer: int) -> Float[ndarray, " m"]:
     """Cut every interval of the knots into `finer` equal parts."""
     whole = np.arange(len(knots))
     return np.interp(np.arange(finer * (len(knots) - 1) + 1) / finer, whole, knots)
 
 
-TABLE_RADIUS = 5.7  # disc radius of the tables, in ball radii
 LINEAR_DEPTH_M = 1.5e-3
 CELLS = 160  # minimum cells per grid side
 CELL_M = 0.15e-3  # maximum cell size
@@ -292,7 +258,7 @@ def _pressed_by_law(
     if moment_nm is not None and not math.isfinite(moment_nm):
         raise InputError(f"the moment {moment_nm} N m is not finite", code="not-finite")
     spec = pressed_at(spec, pose.x_m, pose.y_m)
-    ball = Probe("sphere", spec.indenter_radius_m)
+    ball = own_ball(spec)
     probe = ball if probe is None else as_pair(upright_ball(probe))
     if -math.inf < pose.depth_m < 0:
         touching = _pressed_by_law(spec, replace(pose, depth_m=0.0), probe, (0.0, 0.0), None)
@@ -317,8 +283,7 @@ def is_pulled_deep(spec: PalmSpec) -> bool:
 
 def _tabled(spec: PalmSpec, pose: Pose, grid: tuple[Knots | None, Knots | None] = (None, None)) -> Contact:
     material = spec.youngs_modulus_pa, spec.thickness_m, spec.radius_m, spec.friction, spec.poisson_ratio
-    ball = Probe("sphere", spec.indenter_radius_m)
-    return _near_rim(spec, press_finite_strain(ball, pose, *material, *grid))
+    return _near_rim(spec, press_finite_strain(own_ball(spec), pose, *material, *grid))
 
 
 def _by_table(spec: PalmSpec, pose: Pose, probe: Probe) -> Contact | None:
@@ -326,7 +291,7 @@ def _by_table(spec: PalmSpec, pose: Pose, probe: Probe) -> Contact | None:
     around = _around(probe.radius_m + probe.length_m / 2)
     membrane = spec.youngs_modulus_pa, spec.thickness_m, spec.radius_m
     grid = pose.x_m + around, pose.y_m + around
-    if has_punch_table(spec, probe):
+    if probe.shape == "punch" and has_table(spec, probe):
         return press_finite_strain(probe, pose, *membrane, spec.friction, spec.poisson_ratio, *grid)
     if has_probe_table(spec, probe):
         return press_probe(probe_table_of(spec, probe), probe, pose, *membrane, *grid)
@@ -380,7 +345,7 @@ def load_with_rim(
     spec: PalmSpec, pose: Pose, probe: Probe, pull_n: tuple[float, float]
 ) -> tuple[float, float]:
     """Return the lateral load for `press` of a pull on a probe, including an applied rim's push [N]."""
-    if probe != Probe("sphere", spec.indenter_radius_m) or not is_pulled_deep(spec):
+    if probe != own_ball(spec) or not is_pulled_deep(spec):
         return pull_n
     spec = pressed_at(spec, pose.x_m, pose.y_m)
     effect = applied_rim(spec, pose)
@@ -394,8 +359,9 @@ def load_with_rim(
 def drawn_ball(spec: PalmSpec, pose: Pose) -> Contact:
     """Return a contact of the spec's ball with probe, position, and depth only, for drawing."""
     none, grid = np.zeros(0), np.zeros((0, 0))
-    probe = Probe("sphere", spec.indenter_radius_m)
-    return Contact(none, none, grid, grid, grid > 0, math.nan, math.nan, probe, pose, "a ball, drawn alone")
+    return Contact(
+        none, none, grid, grid, grid > 0, math.nan, math.nan, own_ball(spec), pose, "a ball, drawn alone"
+    )
 
 
 def _near_rim(spec: PalmSpec, centred: Contact) -> Contact:

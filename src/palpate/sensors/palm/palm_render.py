@@ -43,6 +43,7 @@ from palpate.sensors.palm.membrane_faults import (
     scratches_over,
     spread,
 )
+from palpate.sensors.palm.palm_press import own_ball
 from palpate.sensors.palm.palm_spec import PalmSpec
 from palpate.sensors.palm.probe_shapes import parts_of, reaches_of, silhouette
 
@@ -183,8 +184,8 @@ def _transmitted(contact: Contact, spec: PalmSpec, exact: bool) -> Linear:
         _check_air(contact, spec)
         return np.full((*spec.fringes.size_px[::-1], 3), spec.extinction, np.float32)
     if is_punched(contact) and contact.shear_pa is None:
-        at = replace(pose, depth_m=max(pose.depth_m, 0.0))
-        return fringe_view.march_punch(spec.unlit, contact.probe, at).copy()
+        at = max(pose.depth_m, 0.0), pose.x_m, pose.y_m
+        return fringe_view.march_fringes(spec.unlit, *at, punch=contact.probe).copy()
     if not is_ball(contact, spec):
         return fringe_rays.march_contact(spec, contact)
     depth_m = max(pose.depth_m, 0.0)
@@ -222,7 +223,7 @@ def _check_air(contact: Contact, spec: PalmSpec) -> None:
 
 def is_ball(contact: Contact, spec: PalmSpec) -> bool:
     """Return whether the contact is the spec's ball without lateral load."""
-    return contact.probe == Probe("sphere", spec.indenter_radius_m) and contact.shear_pa is None
+    return contact.probe == own_ball(spec) and contact.shear_pa is None
 
 
 @lru_cache(maxsize=4)

@@ -42,14 +42,13 @@ from palpate.sensors.palm.membrane_faults import EVEN, thickness_range
 from palpate.sensors.palm.palm_press import (
     FRICTION,
     LINEAR_DEPTH_M,
-    has_punch_table,
     has_table,
     is_pulled_deep,
     load_with_rim,
+    own_ball,
     press,
     press_layers,
     pull_of_shift,
-    punch_table_of,
     table_of,
 )
 from palpate.sensors.palm.palm_render import expose, is_ball, render, render_clean
@@ -269,7 +268,7 @@ class Palm:
 
     @property
     def _ball(self) -> Probe:
-        return Probe("sphere", self.spec.indenter_radius_m)
+        return own_ball(self.spec)
 
     def _stiffened(self, history: PressHistory) -> PalmSpec:
         """The palm before stress relaxation; light depends on stress, which relaxes with the force."""
@@ -316,11 +315,13 @@ def palm(preset: str = "palm") -> Palm:
 
 def _deepest(spec: PalmSpec, probe: Probe, lateral: bool) -> float:
     """Maximum depth that `palm_press.press` accepts on an even membrane [m]."""
-    probe, R = as_pair(upright_ball(probe)), spec.indenter_radius_m
-    if probe == Probe("sphere", R) and (is_pulled_deep(spec) or not lateral):
-        return table_of(spec).greatest_depth * R if has_table(spec) else 0.0
-    if not lateral and has_punch_table(spec, probe):
-        return punch_table_of(spec, probe).greatest_depth * probe.radius_m
+    probe = as_pair(upright_ball(probe))
+    own = probe == own_ball(spec)
+    if not lateral or (own and is_pulled_deep(spec)):
+        if has_table(spec, probe):
+            return table_of(spec, probe).greatest_depth * probe.radius_m
+        if own:
+            return 0.0
     if not lateral and has_probe_table(spec, probe):
         return probe_table_of(spec, probe).greatest_depth * spec.thickness_m
     return LINEAR_DEPTH_M
@@ -330,12 +331,10 @@ def _deepest(spec: PalmSpec, probe: Probe, lateral: bool) -> float:
 def force_law_of(spec: PalmSpec, probe: Probe) -> ForceLaw:
     """Return the force law of a palm under a probe."""
     probe = as_pair(upright_ball(probe))
-    own = probe == Probe("sphere", spec.indenter_radius_m)
+    own = probe == own_ball(spec)
     even, alike = replace(spec, gel=EVEN), spec.gel.thickness == 0.0
-    if own:
-        depth, force, radius = _of_table(spec, table_of(spec), spec.indenter_radius_m)
-    elif alike and has_punch_table(even, probe):
-        depth, force, radius = _of_table(even, punch_table_of(even, probe), probe.radius_m)
+    if own or (alike and has_table(even, probe)):
+        depth, force, radius = _of_table(even, table_of(even, probe), probe.radius_m)
     elif alike and has_probe_table(even, probe):
         depth, force, radius = _of_probe_table(even, probe_table_of(even, probe))
     else:

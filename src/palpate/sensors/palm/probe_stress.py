@@ -1,9 +1,8 @@
-"""Stress under a tabled non-axisymmetric probe or a laterally loaded punch, resampled on flat planes.
+"""Stress under a contact without symmetry, on flat planes in a window and on a wide grid.
 
-The table's quarter is rotated to the probe and read in a window and on a wide grid. The fraction of a light
-press that belongs to linear layers, and the shear of a lateral load, are added on the same planes.
-
-Stress under the palm's laterally loaded ball: the tabled press and pull, resampled on flat planes.
+Of a tabled probe the quarter is rotated to the probe, of a laterally loaded ball or punch the rings are laid
+out. The fraction of a light press that belongs to linear layers, and the shear of a lateral load, are added
+on the same planes. All else is of linear layers.
 """
 
 from __future__ import annotations
@@ -24,27 +23,36 @@ from palpate.mechanics.axisymmetric.pulled_sphere import (
 )
 from palpate.mechanics.axisymmetric.shape_table import is_punched
 from palpate.mechanics.layers.layer_stress import OnGrid, stress_under
-from palpate.mechanics.probe_contact import light_pressure, share_of_table
+from palpate.mechanics.probe_contact import is_tabled_probe, light_pressure, share_of_table
 from palpate.mechanics.probe_table import ODD_ACROSS, ODD_ALONG, PressedLayer, own_frame
 from palpate.optics.march import AxisymmetricField
-from palpate.sensors.palm.palm_press import FADED, FRICTION, between, field_at, field_under, pressed
+from palpate.sensors.palm.palm_press import FADED, FRICTION, between, field_at, pressed
 from palpate.sensors.palm.palm_spec import PalmSpec
 from palpate.sensors.palm.press_corrections import applied_rim, lateral_of
 from palpate.sensors.palm.probe_shapes import probe_table_of
 
-BALL_NEAR_PLANES, BALL_DEEP_PLANES = 44, 20  # planes around the ball and down to the base
-WINDOW, WIDEST = 3.0, 2.4  # half the window: contact radii, limited to ball radii
+PLANES = 20  # planes of linear layers, finest at the surface
+NEAR_PLANES, BALL_NEAR_PLANES, DEEP_PLANES = 48, 44, 20  # around a probe, around the ball, down to the base
+BELOW = 0.2  # extent of the near planes below a probe, in thicknesses
+BESIDE = 0.5  # window beyond a probe, in thicknesses
+WINDOW, WIDEST = 3.0, 2.4  # half the ball's window: contact radii, limited to ball radii
 CELLS = 160  # cells per side of window and wide grid
+FINER = 2  # refinement of the quarter's knots
 
 Plane = Float[ndarray, "ny nx"]
+Stress = Float32[ndarray, "nz 5 ny nx"]
 
 
 class Laid(NamedTuple):
-    """Stress around a contact on planes [m], in a window and on a wide grid."""
+    """Stress around a contact on planes [m], in a window and on a wide grid.
+
+    `graded` planes lie at equal steps of the root of depth, along which stress is smooth.
+    """
 
     planes_m: Float[ndarray, " nz"]
     near: OnGrid
     far: OnGrid
+    graded: bool = False
 
 
 def is_pulled_ball(contact: Contact) -> bool:
@@ -52,20 +60,109 @@ def is_pulled_ball(contact: Contact) -> bool:
     return contact.solution is ContactSolution.PULLED_TABLE
 
 
-def stress_about(spec: PalmSpec, contact: Contact) -> Laid:
-    """Return the five stresses of a ray around a contact for which `is_pulled_ball` holds."""
-    added, R = _added(spec, contact), spec.indenter_radius_m
-    press = pressed(spec, contact.pose.depth_m)
-    a, h = press.contact_radius * R, spec.thickness_m
-    deep = min(contact.pose.depth_m + a, 0.9 * h)
-    planes = np.concatenate(
+def laid_of(spec: PalmSpec, contact: Contact) -> Laid:
+    """Return the five stresses of a ray around a contact."""
+    h, probe, depth_m = spec.thickness_m, contact.probe, contact.pose.depth_m
+    pulled = is_pulled_ball(contact)
+    if not (pulled or is_punched(contact) or is_tabled_probe(contact)):
+        return _layers(spec, contact, contact.pressure_pa)
+    count, below = NEAR_PLANES, BELOW * h
+    window = probe.radius_m + probe.length_m / 2 + BESIDE * h
+    share, layers = 1.0, None
+    if pulled:
+        count, below = BALL_NEAR_PLANES, pressed(spec, depth_m).contact_radius * probe.radius_m
+        window = min(WINDOW * below, WIDEST * probe.radius_m)
+    else:
+        share = 1.0 if is_punched(contact) else float(share_of_table(depth_m / h))
+        if share < 1.0 or contact.shear_pa is not None:
+            layers = _layers(spec, contact, _light_pressure(spec, contact, 1.0 - share))
+    deep = min(depth_m + below, 0.9 * h)
+    ends = deep + (h - deep) * np.linspace(0, 1, DEEP_PLANES + 1)[1:] ** 1.5
+    planes = np.concatenate([np.linspace(0.0, deep, count), ends])
+    of_table = _of_table if is_tabled_probe(contact) else _of_rings
+    made = []
+    for half in (window, spec.radius_m):
+        stress = np.zeros((len(planes), 5, 1, 1), np.float32)
+        if share > 0.0:
+            stress = of_table(spec, contact, planes, half)
+        if layers is not None:
+            stress = np.float32(share) * stress + _read_layers(contact, layers, planes, half)
+        cell, aside = 2 * half / CELLS, float(_aside(half)[0])
+        made.append(OnGrid((contact.pose.x_m + aside, contact.pose.y_m + aside), (cell, cell), stress))
+    return Laid(planes, made[0], made[1])
+
+
+def _aside(half: float) -> Float[ndarray, " n"]:
+    return (np.arange(CELLS) + 0.5) * (2 * half / CELLS) - half
+
+
+def rows_of(laid: Laid, z_m: Float[ndarray, " h"]) -> Float32[ndarray, "h nz"]:
+    """Return the weights of interpolation from planes to rows."""
+    planes, unit = laid.planes_m, np.eye(len(laid.planes_m))
+    if laid.graded:
+        return np.asarray(CubicSpline(np.sqrt(planes), unit)(np.sqrt(z_m)), np.float32)
+    return np.stack([np.interp(z_m, planes, one) for one in unit], axis=1).astype(np.float32)
+
+
+def summed_along(laid: Laid) -> tuple[Float[ndarray, " w"], Float[ndarray, "nz w"], Float[ndarray, "nz w"]]:
+    """Return the window's columns and the integrals of s_xx - s_zz and s_xz along y on each plane [Pa m]."""
+    near, far = laid.near, laid.far
+    (x, y), (wide_x, wide_y) = (
         [
-            np.linspace(0.0, deep, BALL_NEAR_PLANES),
-            deep + (h - deep) * np.linspace(0, 1, BALL_DEEP_PLANES + 1)[1:] ** 1.5,
+            first + np.arange(count) * cell
+            for first, count, cell in zip(
+                grid.first_m, reversed(grid.stress_pa.shape[2:]), grid.cell_m, strict=True
+            )
         ]
+        for grid in (near, far)
     )
-    halves = min(WINDOW * a, WIDEST * R), spec.radius_m
-    return Laid(planes, *(_on_grid(spec, contact, added, planes, half) for half in halves))
+    low, high = y[0] - near.cell_m[1] / 2, y[-1] + near.cell_m[1] / 2
+    edges = wide_y[:, None] + far.cell_m[1] * np.array([-0.5, 0.5])
+    inside = np.clip(np.minimum(edges[:, 1], high) - np.maximum(edges[:, 0], low), 0.0, None)
+    share = far.cell_m[1] - inside
+    sums = []
+    for which in (0, 3):
+        beyond = np.einsum("y,zyx->zx", share, far.stress_pa[:, which])
+        spread = np.stack([np.interp(x, wide_x, row) for row in beyond])
+        sums.append(near.stress_pa[:, which].sum(axis=1) * near.cell_m[1] + spread)
+    return x, sums[0], sums[1]
+
+
+def _layers(spec: PalmSpec, contact: Contact, pressure_pa: Plane) -> Laid:
+    h = spec.thickness_m
+    planes = h * np.linspace(0, 1, PLANES) ** 2
+    load = pressure_pa, contact.x_m, contact.y_m, contact.shear_pa
+    return Laid(planes, *stress_under(h, spec.poisson_ratio, planes, *load), graded=True)
+
+
+def _light_pressure(spec: PalmSpec, contact: Contact, share: float) -> Plane:
+    """Pressure of the fraction of a press that belongs to linear layers."""
+    if not share > 0.0:
+        return np.zeros_like(contact.pressure_pa)
+    table, grid = probe_table_of(spec, contact.probe), (contact.x_m, contact.y_m)
+    light = light_pressure(table, contact.probe, contact.pose, spec.thickness_m, *grid)
+    return np.asarray(share * spec.youngs_modulus_pa * light)
+
+
+def _read_layers(contact: Contact, layers: Laid, planes: Float[ndarray, " nz"], half: float) -> Stress:
+    aside = _aside(half)
+    x, y = contact.pose.x_m + aside, contact.pose.y_m + aside
+    (near, is_near), (far, _) = (_read_grid(grid, x, y) for grid in (layers.near, layers.far))
+    return np.asarray(np.tensordot(rows_of(layers, planes), np.where(is_near, near, far), axes=1))
+
+
+def _read_grid(grid: OnGrid, x: ndarray, y: ndarray) -> tuple[Stress, Bool[ndarray, "ny nx"]]:
+    """Linear interpolation of a grid, 0 beyond it, with the mask of points inside."""
+    rows, columns = grid.stress_pa.shape[2:]
+    i, j = (x - grid.first_m[0]) / grid.cell_m[0], (y - grid.first_m[1]) / grid.cell_m[1]
+    across, down = (_weights(at, count) for at, count in ((i, columns), (j, rows)))
+    inside = ((j >= 0) & (j <= rows - 1))[:, None] & ((i >= 0) & (i <= columns - 1))
+    return down @ grid.stress_pa @ across.T * inside, inside
+
+
+def _weights(at: ndarray, count: int) -> Float32[ndarray, "n count"]:
+    """Weights of linear interpolation between points 0, 1, ..."""
+    return np.maximum(1.0 - np.abs(at[:, None] - np.arange(count)), 0.0).astype(np.float32)
 
 
 def _added(spec: PalmSpec, contact: Contact) -> PulledStress:
@@ -84,23 +181,23 @@ def _pull(spec: PalmSpec, contact: Contact) -> tuple[float, float]:
     return contact.lateral_n[0] - rim[0], contact.lateral_n[1] - rim[1]
 
 
-def _on_grid(
-    spec: PalmSpec, contact: Contact, added: PulledStress, planes: Float[ndarray, " nz"], half: float
-) -> OnGrid:
-    pose, R, h = contact.pose, spec.indenter_radius_m, spec.thickness_m
-    modulus = spec.youngs_modulus_pa * applied_rim(spec, pose).force_ratio
-    base, pull = field_at(spec, pose.depth_m), _pull(spec, contact)
-    across = (np.arange(CELLS) + 0.5) * (2 * half / CELLS) - half
-    x, y = across[None, :], across[:, None]
+def _of_rings(spec: PalmSpec, contact: Contact, planes: Float[ndarray, " nz"], half: float) -> Stress:
+    """Stress under a punch, or under a ball with its pull, from rings about the axis."""
+    pose, R, h = contact.pose, contact.probe.radius_m, spec.thickness_m
+    base, aside = field_at(spec, pose.depth_m, contact.probe), _aside(half)
+    x, y = aside[None, :], aside[:, None]
     r = np.hypot(x, y)
     c, s = x / np.maximum(r, 1e-12), y / np.maximum(r, 1e-12)
-    cos, sin = angle_from(x, y, pull)
-    top = np.interp(r, base.r_m, base.surface_m) + R * cos * np.interp(
-        r / R, added.r, added.surface, right=0.0
-    )
-    table, ratio = _table(added, base, R), modulus / spec.youngs_modulus_pa
-    table[:, :4] *= ratio
-    table[:, 4:] *= modulus
+    top = np.interp(r, base.r_m, base.surface_m)
+    table = base.stress_pa.reshape(4, -1).T.astype(np.float32)
+    cos, sin = np.zeros_like(r), np.zeros_like(r)
+    if is_pulled_ball(contact):
+        added, ratio = _added(spec, contact), applied_rim(spec, pose).force_ratio
+        cos, sin = angle_from(x, y, _pull(spec, contact))
+        top = top + R * cos * np.interp(r / R, added.r, added.surface, right=0.0)
+        table = _table(added, base, R)
+        table[:, :4] *= ratio
+        table[:, 4:] *= spec.youngs_modulus_pa * ratio
     across_at = np.interp(r, base.r_m, np.arange(len(base.r_m)))
     stress = np.empty((len(planes), 5, CELLS, CELLS), np.float32)
     for k, z in enumerate(planes):
@@ -108,15 +205,15 @@ def _on_grid(
         rr, tt, zz, rz, *m = _read(
             table, len(base.r_m), np.interp(zeta, base.zeta, np.arange(len(base.zeta))), across_at
         )
-        rr, tt, zz, rz = rr + m[0] * cos, tt + m[1] * cos, zz + m[2] * cos, rz + m[3] * cos
-        rt, tz = m[4] * sin, m[5] * sin
+        rt, tz = 0.0, 0.0
+        if m:
+            rr, tt, zz, rz = rr + m[0] * cos, tt + m[1] * cos, zz + m[2] * cos, rz + m[3] * cos
+            rt, tz = m[4] * sin, m[5] * sin
         stress[k, 0] = rr * c * c + tt * s * s - 2 * rt * s * c - zz
         stress[k, 1] = rr * s * s + tt * c * c + 2 * rt * s * c - zz
         stress[k, 2] = (rr - tt) * s * c + rt * (c * c - s * s)
         stress[k, 3], stress[k, 4] = rz * c - tz * s, rz * s + tz * c
-    cell = 2 * half / CELLS
-    first = pose.x_m + across[0], pose.y_m + across[0]
-    return OnGrid((float(first[0]), float(first[1])), (cell, cell), stress)
+    return stress
 
 
 def _table(added: PulledStress, base: AxisymmetricField, R: float) -> Float32[ndarray, "mn 10"]:
@@ -131,8 +228,8 @@ def _table(added: PulledStress, base: AxisymmetricField, R: float) -> Float32[nd
 
 
 def _read(
-    table: Float32[ndarray, "mn 10"], columns: int, down: Plane, out: Plane
-) -> Float32[ndarray, "10 ny nx"]:
+    table: Float32[ndarray, "mn f"], columns: int, down: Plane, out: Plane
+) -> Float32[ndarray, "f ny nx"]:
     i = np.minimum(down.astype(np.int32), len(table) // columns - 2)
     j = np.minimum(out.astype(np.int32), columns - 2)
     a, b = ((at - k).astype(np.float32)[..., None] for at, k in ((down, i), (out, j)))
@@ -140,108 +237,6 @@ def _read(
     above = table[at] * (1 - b) + table[at + 1] * b
     under = table[at + columns] * (1 - b) + table[at + columns + 1] * b
     return np.moveaxis(above * (1 - a) + under * a, -1, 0)
-
-
-def rows_of(planes_m: Float[ndarray, " nz"], z_m: Float[ndarray, " h"]) -> Float32[ndarray, "h nz"]:
-    """Return the weights of linear interpolation from planes to rows."""
-    return np.stack([np.interp(z_m, planes_m, unit) for unit in np.eye(len(planes_m))], axis=1).astype(
-        np.float32
-    )
-
-
-def summed_along(laid: Laid) -> tuple[Float[ndarray, " w"], Float[ndarray, "nz w"], Float[ndarray, "nz w"]]:
-    """Return the window's columns and the integrals of s_xx - s_zz and s_xz along y on each plane [Pa m]."""
-    near, far = laid.near, laid.far
-    x, y = (first + np.arange(CELLS) * cell for first, cell in zip(near.first_m, near.cell_m, strict=True))
-    wide_x, wide_y = (
-        first + np.arange(CELLS) * cell for first, cell in zip(far.first_m, far.cell_m, strict=True)
-    )
-    low, high = y[0] - near.cell_m[1] / 2, y[-1] + near.cell_m[1] / 2
-    edges = wide_y[:, None] + far.cell_m[1] * np.array([-0.5, 0.5])
-    inside = np.clip(np.minimum(edges[:, 1], high) - np.maximum(edges[:, 0], low), 0.0, None)
-    share = far.cell_m[1] - inside
-    sums = []
-    for which in (0, 3):
-        beyond = np.einsum("y,zyx->zx", share, far.stress_pa[:, which])
-        spread = np.stack([np.interp(x, wide_x, row) for row in beyond])
-        sums.append(near.stress_pa[:, which].sum(axis=1) * near.cell_m[1] + spread)
-    return x, sums[0], sums[1]
-
-
-NEAR_PLANES, DEEP_PLANES = 48, 20  # planes around the probe and down to the base
-BELOW = 0.2  # extent of the near planes below the probe, in thicknesses
-BESIDE = 0.5  # window beyond the probe, in thicknesses
-LIGHT_PLANES = 20  # planes of linear layers, finest at the surface
-FINER = 2  # refinement of the quarter's knots
-
-Stress = Float32[ndarray, "nz 5 ny nx"]
-
-
-def stress_beneath(spec: PalmSpec, contact: Contact) -> Laid:
-    """Return the five stresses of a ray around a probe for which `is_tabled_probe` or `is_punched` holds."""
-    h, probe = spec.thickness_m, contact.probe
-    deep = min(contact.pose.depth_m + BELOW * h, 0.9 * h)
-    planes = np.concatenate(
-        [
-            np.linspace(0.0, deep, NEAR_PLANES),
-            deep + (h - deep) * np.linspace(0, 1, DEEP_PLANES + 1)[1:] ** 1.5,
-        ]
-    )
-    halves = probe.radius_m + probe.length_m / 2 + BESIDE * h, spec.radius_m
-    share = 1.0 if is_punched(contact) else float(share_of_table(contact.pose.depth_m / h))
-    of_table = _of_punch if is_punched(contact) else _of_table
-    layers = _of_layers(spec, contact, 1.0 - share) if share < 1.0 or contact.shear_pa is not None else None
-    made = []
-    for half in halves:
-        stress = np.zeros((len(planes), 5, 1, 1), np.float32)
-        if share > 0.0:
-            stress = of_table(spec, contact, planes, half)
-        if layers is not None:
-            stress = np.float32(share) * stress + _read_layers(spec, contact, layers, planes, half)
-        first = contact.pose.x_m - half + half / CELLS, contact.pose.y_m - half + half / CELLS
-        made.append(OnGrid(first, (2 * half / CELLS, 2 * half / CELLS), stress))
-    return Laid(planes, *made)
-
-
-def _of_layers(spec: PalmSpec, contact: Contact, share: float) -> tuple[OnGrid, OnGrid]:
-    h, x, y = spec.thickness_m, contact.x_m, contact.y_m
-    pressure = np.zeros_like(contact.pressure_pa)
-    if share > 0.0:
-        table, modulus = probe_table_of(spec, contact.probe), share * spec.youngs_modulus_pa
-        pressure = modulus * light_pressure(table, contact.probe, contact.pose, h, x, y)
-    planes = h * np.linspace(0, 1, LIGHT_PLANES) ** 2
-    return stress_under(h, spec.poisson_ratio, planes, pressure, x, y, contact.shear_pa)
-
-
-def _read_layers(
-    spec: PalmSpec,
-    contact: Contact,
-    layers: tuple[OnGrid, OnGrid],
-    planes: Float[ndarray, " nz"],
-    half: float,
-) -> Stress:
-    aside = _aside(half)
-    x, y = contact.pose.x_m + aside, contact.pose.y_m + aside
-    (near, is_near), (far, _) = (_read_grid(grid, x, y) for grid in layers)
-    read = np.where(is_near, near, far)
-    onto = CubicSpline(np.linspace(0, 1, LIGHT_PLANES), np.eye(LIGHT_PLANES))(
-        np.sqrt(planes / spec.thickness_m)
-    ).astype(np.float32)
-    return np.asarray(np.tensordot(onto, read, axes=1))
-
-
-def _read_grid(grid: OnGrid, x: ndarray, y: ndarray) -> tuple[Stress, Bool[ndarray, "ny nx"]]:
-    """Linear interpolation of a grid, 0 beyond it, with the mask of points inside."""
-    rows, columns = grid.stress_pa.shape[2:]
-    i, j = (x - grid.first_m[0]) / grid.cell_m[0], (y - grid.first_m[1]) / grid.cell_m[1]
-    across, down = (_weights(at, count) for at, count in ((i, columns), (j, rows)))
-    inside = ((j >= 0) & (j <= rows - 1))[:, None] & ((i >= 0) & (i <= columns - 1))
-    return down @ grid.stress_pa @ across.T * inside, inside
-
-
-def _weights(at: ndarray, count: int) -> Float32[ndarray, "n count"]:
-    """Weights of linear interpolation between points 0, 1, ..."""
-    return np.maximum(1.0 - np.abs(at[:, None] - np.arange(count)), 0.0).astype(np.float32)
 
 
 @lru_cache(maxsize=4)
@@ -253,10 +248,6 @@ def _finer(spec: PalmSpec, probe: Probe, depth_m: float) -> tuple[PressedLayer, 
         stress = PchipInterpolator(knots, stress, axis=axis)(between(knots, FINER))
     left = at.share_at(between(at.x, FINER), between(at.y, FINER)[:, None])
     return at, np.asarray(stress * left, np.float32)
-
-
-def _aside(half: float) -> Float[ndarray, " n"]:
-    return (np.arange(CELLS) + 0.5) * (2 * half / CELLS) - half
 
 
 def _of_table(spec: PalmSpec, contact: Contact, planes: Float[ndarray, " nz"], half: float) -> Stress:
@@ -287,28 +278,6 @@ def _of_table(spec: PalmSpec, contact: Contact, planes: Float[ndarray, " nz"], h
         above, under = (np.take_along_axis(columns, (i + n)[None, None], axis=1)[:, 0] for n in (0, 1))
         laid[k] = _turned(above + (under - above) * share, contact.probe.turn_rad)
     laid *= np.float32(spec.youngs_modulus_pa)
-    return laid
-
-
-def _of_punch(spec: PalmSpec, contact: Contact, planes: Float[ndarray, " nz"], half: float) -> Stress:
-    base, aside = field_under(spec, contact.probe, contact.pose.depth_m), _aside(half)
-    r = np.hypot(aside[None, :], aside[:, None])
-    c, s = aside[None, :] / r, aside[:, None] / r
-    top, out = np.interp(r, base.r_m, base.surface_m), np.interp(r, base.r_m, np.arange(len(base.r_m)))
-    laid = np.empty((len(planes), 5, CELLS, CELLS), np.float32)
-    for k, z in enumerate(planes):
-        zeta = np.clip((z - top) / (base.thickness_m - top), 0, 1)
-        down = np.interp(zeta, base.zeta, np.arange(len(base.zeta)))
-        rr, tt, zz, rz = (
-            map_coordinates(part, [down, out], order=1, mode="nearest") for part in base.stress_pa
-        )
-        laid[k] = (
-            rr * c * c + tt * s * s - zz,
-            rr * s * s + tt * c * c - zz,
-            (rr - tt) * s * c,
-            rz * c,
-            rz * s,
-        )
     return laid
 
 

@@ -35,7 +35,7 @@ from palpate.estimators.unit_fit import (
     untold_terms,
     widening_of,
 )
-from palpate.mechanics.axisymmetric.shape_table import SphereTable
+from palpate.mechanics.axisymmetric.disc_table import DiscTable
 from palpate.sensors.palm.copies.palm_copy import (
     AT,
     LOCAL,
@@ -114,7 +114,7 @@ def _even(
 
 
 @lru_cache(maxsize=8)
-def _tables(spec: PalmSpec) -> tuple[SphereTable, ...]:
+def _tables(spec: PalmSpec) -> tuple[DiscTable, ...]:
     """Table of the design, between the next thinner and thicker ones if they exist."""
     beside = [replace(spec, thickness_m=spec.thickness_m * math.exp(off)) for off in (-THICKER, THICKER)]
     if not all(has_table(replace(spec, thickness_m=spec.thickness_m * s)) for s in (0.92, 1.09)):

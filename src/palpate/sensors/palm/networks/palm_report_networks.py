@@ -11,6 +11,7 @@ Perceptron on the pixels of the fringe difference: the baseline that shows the v
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import ClassVar
@@ -68,9 +69,7 @@ class PalmJointRaw(PalmModel):
     """The joint network for raw color crops."""
 
     targets: ClassVar[tuple[str, ...]] = (*FORCES, *PLACE)
-
-    def network(self, channels: int, scales: Scales) -> PalmNetwork:
-        return JointNetwork(channels, scales)
+    network: ClassVar[Callable[[int, Scales], PalmNetwork]] = JointNetwork
 
     def loss(self, answer: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
         """MSE(F) + MSE((x, y))."""
@@ -104,9 +103,7 @@ class PalmForceConditioned(PalmModel):
     """The force-conditioned network for differential color crops."""
 
     targets: ClassVar[tuple[str, ...]] = (FORCES[-1], *PLACE)
-
-    def network(self, channels: int, scales: Scales) -> PalmNetwork:
-        return ConditionedNetwork(channels, scales)
+    network: ClassVar[Callable[[int, Scales], PalmNetwork]] = ConditionedNetwork
 
     def loss(self, answer: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
         """MSE(F_z) + MSE((x, y))."""
@@ -152,15 +149,13 @@ class PalmTwoStage(PalmModel):
     force_weight: float = 1.0
 
     targets: ClassVar[tuple[str, ...]] = (DEPTH, *PLACE, *FORCES, MAGNITUDE)
+    network: ClassVar[Callable[[int, Scales], PalmNetwork]] = TwoStageNetwork
 
     def __post_init__(self) -> None:
         super().__post_init__()
         weights = (self.depth_weight, self.place_weight, self.force_weight)
         if not all(0 <= w < float("inf") for w in weights) or sum(weights) == 0:
             raise InputError(f"loss weights {weights}: give 0 or more, one positive", code="loss-weights")
-
-    def network(self, channels: int, scales: Scales) -> PalmNetwork:
-        return TwoStageNetwork(channels, scales)
 
     def loss(self, answer: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
         """w_d l(d) + w_l l(x, y) + w_F l(F)."""

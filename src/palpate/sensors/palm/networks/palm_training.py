@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -256,6 +256,7 @@ class PalmModel(ABC):
     cosine: bool = False
 
     targets: ClassVar[tuple[str, ...]] = ()
+    network: ClassVar[Callable[[int, Scales], PalmNetwork]]
 
     def __post_init__(self) -> None:
         two_view_variation(self.variation, SIDE_PX)
@@ -263,8 +264,6 @@ class PalmModel(ABC):
             check_weights(Path(self.weights))
         self.descent()
 
-    @abstractmethod
-    def network(self, channels: int, scales: Scales) -> PalmNetwork: ...
     @abstractmethod
     def loss(self, answer: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
         """Loss of scaled values ``[n t]`` in the model's order."""
@@ -293,7 +292,10 @@ class PalmModel(ABC):
         wanted = scales.targets.scaled(data.values[:, columns]).astype(np.float32)
         vary = two_view_variation(self.variation, data.shape[1])
         lesson = TrainingTask(data.fetch, wanted, self.loss, learn, watch, vary)
-        network = self._begun(data.shape[0], scales, seed)
+        with seeded(seed):
+            network = type(self).network(data.shape[0], scales)
+        for trunk in network.trunks() if self.weights else []:
+            trunk.load_weights(Path(self.weights))
         begun = f"from {Path(self.weights).name}" if self.weights else "from scratch"
 
         def report(what: str, done: int, total: int) -> None:
@@ -301,10 +303,3 @@ class PalmModel(ABC):
 
         run = self.descent().run(network, lesson, seed=seed, progress=report, checkpoint=checkpoint)
         return FittedPalm(run.kept(), data.shape, run.record)
-
-    def _begun(self, channels: int, scales: Scales, seed: int) -> PalmNetwork:
-        with seeded(seed):
-            network = self.network(channels, scales)
-        for trunk in network.trunks() if self.weights else []:
-            trunk.load_weights(Path(self.weights))
-        return network
