@@ -155,7 +155,6 @@ class LiveLoop(Closing):
         self._outages = 0
         self._untouched: Image | None = None
         self._untouched_frames: tuple[Image, ...] = ()
-        self._untouched_rate_hz: float | None = None
         self._last_arrival_s = time.monotonic()
         for one in subscribers:
             self.subscribe(one)
@@ -278,11 +277,6 @@ class LiveLoop(Closing):
     def untouched_frames(self) -> tuple[Image, ...]:
         """Frames that it was averaged from, the same object until others are taken; none without them."""
         return self._untouched_frames
-
-    @property
-    def untouched_rate_hz(self) -> float | None:
-        """Rate at which these were taken: the camera's, less what was dropped between them; None without."""
-        return self._untouched_rate_hz
 
     @property
     def zeroing(self) -> bool:
@@ -474,8 +468,6 @@ class LiveLoop(Closing):
                 return
             frames, self._zeros, self._zeroing = self._zeros, [], False
         images = [one.image for one in frames]
-        lasted_s = frames[-1].time_s - frames[0].time_s
-        self._untouched_rate_hz = (len(images) - 1) / lasted_s if lasted_s > 0 else None
         self._untouched_frames = tuple(images)
         self._take_zero(mean_image(images))
         self._let_rest(False)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from typer import Argument, Option
 
-from palpate.cli.verb_support import print_found, progress_bar
+from palpate.cli.verb_support import print_record, progress_bar
 from palpate.estimators.unit_fit import GRAVITY_M_S2
 
 N_PER_G = 1e-3 * GRAVITY_M_S2
@@ -36,7 +36,7 @@ def fit(
             runs, out, sensor=sensor, law=law, hysteresis=hysteresis,
             coverage=coverage, note=note, progress=progress,
         )  # fmt: skip
-    print_found(record, _fit_text(record))
+    print_record(record)
 
 
 def weigh(
@@ -62,24 +62,4 @@ def weigh(
             calibration, out, untouched=list(rest), loaded=list(on),
             weight_n=N_PER_G * mass_g, weight_error_n=N_PER_G * error_g, lays=lays,
         )  # fmt: skip
-    scale, error = record["scale"], record["scale_error"]
-    text = f"{out}: {record['calibration']}, {record['pad']}: {scale:.3f} ± {error:.3f} of {record['of']}"
-    print_found(record, text)
-
-
-def _fit_text(record: dict[str, Any]) -> str:
-    low, high = record["range_N"]
-    widths = record["interval_N"]["half_width"]
-    memory = record["hysteresis"]
-    lines = [
-        f"{record['out']}: {record['calibration']}, law {record['law']}, {record['presses']} presses",
-        f"calibrated {low:.2f} to {high:.2f} N; indenters {', '.join(record['indenters']) or 'not told'}",
-    ]
-    lines.append(
-        f"held-out presses are off by {record['mae_N']:.3f} N in the mean; "
-        f"{100 * record['coverage']:.0f} % lie within {min(widths):.2f} to {max(widths):.2f} N"
-    )
-    if memory:
-        lines.append(f"with the history of the frames, by {memory['mae_N']:.3f} N")
-    lines += [f"baseline {name}: {error:.3f} N" for name, error in record["baselines_mae_N"].items()]
-    return "\n".join(lines)
+    print_record(record)

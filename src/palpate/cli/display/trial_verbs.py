@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer import Argument, Option
 
-from palpate.cli.verb_support import print_found, say
+from palpate.cli.verb_support import print_found, print_record, say
 
 if TYPE_CHECKING:
     from palpate.psychophysics.experiments import (
@@ -129,13 +129,7 @@ def export(
     from palpate.psychophysics.experiments import export_trials, read_design
 
     found = export_trials(read_design(folder), out, rehearsal)
-    text = (
-        f"{out}: {found.judgements} judgements of {len(found.participants)} participants, "
-        f"{len(found.complete)} of whom have answered all"
-    )
-    if found.simulated:
-        text += "\nsimulated: no measurement"
-    print_found(asdict(found) | {"folder": str(out)}, text)
+    print_record(asdict(found) | {"folder": str(out)})
 
 
 def analyze(

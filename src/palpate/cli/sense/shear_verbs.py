@@ -10,18 +10,14 @@ from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, Option
 
-from palpate.cli.verb_support import as_json, progress_bar, say
-from palpate.core import Frame, InputError, Lens, Readings, new_folder, refuse_existing
+from palpate.cli.verb_support import as_json, progress_bar, reading_words, say
+from palpate.core import Frame, InputError, Lens, new_folder, refuse_existing
 from palpate.core.sensor import sensor as find_sensor
 
 if TYPE_CHECKING:
     from palpate.estimators.shear import ShearReader, TiledSkin
     from palpate.reports.shear_page import ShearPage
     from palpate.sensing.frame_readers import TouchedFrame
-
-HEAD = ("frame", "contacts", "x", "y", "edge", "gamma", "seen", "notes")
-FLAGS = ("slip", "damage")
-ROW = "{:<16} {:>8} {:>18} {:>18} {:>14} {:>8} {:>6}  {}"
 
 
 def shear(
@@ -65,10 +61,8 @@ def shear(
         folder = stack.enter_context(new_folder(fields)) if fields else None
         progress = stack.enter_context(progress_bar())
         page = _page(source, reader, untouched) if html else None
-        if not as_json():
-            say(ROW.format(*HEAD).rstrip())
         for count, seen in enumerate(read_touches(frames, reader, force), 1):
-            say(json.dumps(seen.to_dict(), allow_nan=False) if as_json() else _row(seen))
+            say(json.dumps(seen.to_dict(), allow_nan=False) if as_json() else _line(seen))
             if folder:
                 write_fields(folder, seen)
             if page:
@@ -106,31 +100,7 @@ def _tiled(name: str) -> TiledSkin:
     return describe()
 
 
-def _row(seen: TouchedFrame) -> str:
-    """A line of the table."""
+def _line(seen: TouchedFrame) -> str:
     if seen.touch is None:
-        return ROW.format(seen.name[-16:], *["-"] * 6, seen.reason)
-    readings = seen.touch.readings
-    contacts, gamma, share = readings["contacts"], readings["gamma_ratio"], readings["seen_ratio"]
-    force = [_in_words(readings, "force")] if "force_N" in readings else []
-    notes = [f"{flag}: yes" for flag in FLAGS if readings[flag].value == "yes"]
-    return ROW.format(
-        seen.name[-16:],
-        contacts.value or "-",
-        *(_in_words(readings, axis) for axis in "xy"),
-        _in_words(readings, "edge"),
-        f"{gamma.value:.3f}" if gamma.valid else "-",
-        f"{100 * share.value:.0f} %",
-        "; ".join(filter(None, [*force, *notes, seen.touch.reason])),
-    ).rstrip()
-
-
-def _in_words(readings: Readings, quantity: str) -> str:
-    """A reading with half its interval, in mm, px or degrees; a dash where it is not valid."""
-    one = readings[quantity]
-    if not one.valid:
-        return "-"
-    shown = one.in_unit({"m": "mm", "rad": "deg"}.get(one.unit, one.unit))
-    half = (shown.high - shown.low) / 2
-    value = shown.value % shown.period if quantity == "edge" else shown.value
-    return f"{value:.2f} ± {half:.2f} {shown.unit}"
+        return f"{seen.name}: {seen.reason}"
+    return f"{seen.name}: {'; '.join(reading_words(seen.touch.readings))}"

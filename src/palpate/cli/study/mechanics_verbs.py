@@ -8,7 +8,7 @@ from typing import Annotated
 
 from typer import Option
 
-from palpate.cli.verb_support import print_found
+from palpate.cli.verb_support import print_record
 from palpate.core import InputError
 
 Answer = dict[str, object]
@@ -38,7 +38,7 @@ def hertz(
     d = _depth(depth_mm, force_n, lambda F: law.depth_from_force(F, R, *skin))
     a, p0 = law.contact_radius(d, R), law.peak_pressure(d, R, *skin)
     shear, z = greatest_shear(poisson)
-    _print(
+    print_record(
         _scalars(law.force_from_depth(d, R, *skin), d, a)
         | {
             "peak_pressure_kPa": p0 / 1e3,
@@ -68,7 +68,7 @@ def sphere(
     d = _depth(depth_mm, force_n, lambda F: law.sphere_depth_from_force(F, R, *skin))
     a = law.sphere_radius_from_depth(d, R)
     p0 = float(law.sphere_pressure(np.zeros(1), a, R, *skin)[0])
-    _print(
+    print_record(
         _scalars(law.sphere_force_from_radius(a, R, *skin), d, a)
         | {"peak_pressure_kPa": p0 / 1e3, "law": law.MODEL.format(shape="sphere")}
     )
@@ -90,7 +90,7 @@ def punch(
     R, skin = radius_mm / 1e3, (modulus_kpa * 1e3, poisson)
     d = _depth(depth_mm, force_n, lambda F: law.punch_depth(F, R, *skin))
     F = law.punch_force(d, R, *skin)
-    _print(
+    print_record(
         _scalars(F, d, R)
         | {"mean_pressure_kPa": F / (math.pi * R**2) / 1e3, "law": law.MODEL.format(shape="flat punch")}
     )
@@ -113,7 +113,7 @@ def cone(
     d = _depth(depth_mm, force_n, lambda F: law.cone_depth(F, alpha, *skin))
     a, F = law.cone_radius(d, alpha), law.cone_force(d, alpha, *skin)
     mean = F / (math.pi * a**2) if a else 0.0
-    _print(_scalars(F, d, a) | {"mean_pressure_kPa": mean / 1e3, "law": law.MODEL.format(shape="cone")})
+    print_record(_scalars(F, d, a) | {"mean_pressure_kPa": mean / 1e3, "law": law.MODEL.format(shape="cone")})
 
 
 def layer(
@@ -144,7 +144,7 @@ def layer(
         answer["dimitriadis_force_N"] = law.dimitriadis_force(d, R, h, *skin, on)
     except RangeError as e:
         answer |= {"dimitriadis_force_N": None, "dimitriadis_refused": str(e)}
-    _print(
+    print_record(
         answer
         | {
             "half_space_force_N": sphere_force_from_depth(d, R, *skin),
@@ -175,7 +175,7 @@ def jkr(
     F = force_n or 0.0 if depth_mm is None else ball.force_from_depth(depth_mm / 1e3)
     a = ball.radius_from_force(F) if depth_mm is None else ball.radius_from_depth(depth_mm / 1e3)
     tabor = ball.tabor_parameter(range_nm * 1e-9)
-    _print(
+    print_record(
         _scalars(F, ball.depth_from_radius(a), a)
         | {
             "pull_off_force_N": ball.pull_off_force_n,
@@ -223,7 +223,7 @@ def ting(
     d = np.interp(t, turns, depth_mm / 1e3 * np.array([0.0, 1.0, 1.0, 0.0]))
     done = law(t, d, radius_mm / 1e3, skin, poisson)
     lost = int(np.flatnonzero(done.radius_m)[-1]) + 1 if done.radius_m.any() else 0
-    _print(
+    print_record(
         {
             "greatest_force_N": float(done.force_n.max()),
             "force_before_return_N": float(np.interp(turns[2], t, done.force_n)),
@@ -233,10 +233,6 @@ def ting(
             "law": "Ting: rigid sphere, viscoelastic half-space, small strain, no friction, a/R <= 0.5",
         }
     )
-
-
-def _print(answer: Answer) -> None:
-    print_found(answer, "\n".join(f"{name} = {_text(value)}" for name, value in answer.items()))
 
 
 def branch_of(text: str) -> tuple[float, float]:
@@ -261,7 +257,3 @@ def _depth(depth_mm: float | None, force_n: float | None, of_force: Callable[[fl
 
 def _scalars(force_n: float, depth_m: float, radius_m: float) -> Answer:
     return {"force_N": force_n, "depth_mm": depth_m * 1e3, "contact_radius_mm": radius_m * 1e3}
-
-
-def _text(value: object) -> str:
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
