@@ -254,6 +254,26 @@ def numbers_of(text: str | None, count: int, what: str) -> tuple[int, ...] | Non
     return numbers
 
 
+def floats_of(
+    text: str, what: str, example: str, mark: str = ",", count: int | None = None
+) -> tuple[float, ...]:
+    """Numbers with a mark between them.
+
+    Args:
+        count: how many; 0 for any number; by default as many as in the example.
+    """
+    from palpate.core.errors import InputError
+
+    count = len(example.split(mark)) if count is None else count
+    try:
+        numbers = tuple(float(part) for part in text.split(mark))
+    except ValueError:
+        numbers = ()
+    if not numbers or (count and len(numbers) != count):
+        raise InputError(f"{what} {text!r} are no numbers as in {example}")
+    return numbers
+
+
 def pairs_of(words: list[str], what: str) -> dict[str, str]:
     """Names and what each becomes, from ``name=value``."""
     from palpate.core.errors import InputError

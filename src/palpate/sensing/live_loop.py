@@ -27,7 +27,7 @@ from palpate.core import (
     Wrench,
 )
 from palpate.core.failure_log import record_failure, report_to_stderr
-from palpate.core.reading import OF_ALL_FRAMES, plain_number
+from palpate.core.reading import OF_ALL_FRAMES, frame_record, plain_number
 from palpate.core.shared_history import SharedHistory
 from palpate.sensing.live_sources import LiveSource, NoFrameYetError
 from palpate.sensing.streaming.live_readers import FrameReader, mean_image
@@ -83,15 +83,8 @@ class LiveReading:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for one JSON object; those of `palpate read` and the loop's own."""
-        readings = self.readings
-        first = None if readings is None else next(iter(readings.values()), None)
-        drift = None if first is None or first.drift is None else first.drift.to_dict()
         return {
-            "frame": self.frame,
-            "time_s": round(self.time_s, 6),
-            "readings": {name: one.to_dict() for name, one in (readings or {}).items()},
-            "drift": drift,
-            "calibration": None if first is None else first.calibration,
+            **frame_record(self.frame, self.time_s, self.readings),
             "source": self.source,
             "number": self.number,
             "latency_ms": round(1e3 * self.latency_s, 3),
@@ -308,8 +301,7 @@ class LiveLoop(Closing):
         latest, reader = self._latest, self._reader
         reading = None
         if latest is not None and latest.readings is not None:
-            readings = {name: one.to_dict() for name, one in latest.readings.items()}
-            reading = {"frame": latest.frame, "time_s": round(latest.time_s, 6), "readings": readings}
+            reading = frame_record(latest.frame, latest.time_s, latest.readings)
             reading["force_N"] = None if latest.force_n is None else plain_number(latest.force_n)
         force = self._force_now()
         return {

@@ -54,8 +54,8 @@ def calibrate(
     print_record(fit.card() | {"lens": str(out), "picture": str(picture)})
 
 
-def board_picture(
-    board: BoardSize,
+def board(
+    size: BoardSize,
     out: Annotated[Path, Option(help="PNG to make, for print; must not exist.")],
     charuco: Charuco = None,
     square_px: Annotated[int, Option(help="Side of a square in the picture [px].", min=8, max=400)] = 120,
@@ -66,7 +66,7 @@ def board_picture(
 
     Example: palpate lens board --board 8x5 --charuco 4X4_50 --out board.png
     """
-    picture = _board(board, 25.0, charuco).picture(square_px)
+    picture = _board(size, 25.0, charuco).picture(square_px)
     _write_png(out, picture)
     height, width = picture.shape
     print_record({"board": str(out), "size_px": [height, width]})

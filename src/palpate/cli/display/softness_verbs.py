@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Argument, Option
 
 from palpate.cli.display import rendering_verbs
-from palpate.cli.verb_support import group, print_record, progress_bar
+from palpate.cli.verb_support import floats_of, group, print_record, progress_bar
 
 if TYPE_CHECKING:
     from palpate.mechanics.half_space.hertz import Body
     from palpate.softness import Rendered, SoftObject, StackedSpecimen
     from palpate.softness.rendering_simulation import Rendering
 
+MODULI = "800,500,300,150,100"
 AGREES = 0.05  # deviation of c from 1, as in the wiring guide
 HERTZ_RADIUS = 0.5  # of a ball, to which a contact is small
 
@@ -114,18 +115,13 @@ def _tell_partner(
 
 def ball_of_words(what: str, text: str, poisson: float) -> Body:
     """An elastic ball of words such as 100:15, in kPa and mm."""
-    from palpate.core import InputError, RangeError
+    from palpate.core import RangeError
     from palpate.mechanics.half_space.hertz import Body
 
     if not 0 <= poisson <= 0.5:
         raise RangeError(f"a Poisson's ratio of {poisson:g}; 0 to 0.5 are allowed")
-    modulus, _, radius = text.partition(":")
-    try:
-        return Body(1e3 * float(modulus) / (1 - poisson**2), 1e-3 * float(radius))
-    except RangeError:
-        raise
-    except ValueError:
-        raise InputError(f"{what} {text!r} is not MODULUS_KPA:RADIUS_MM, as in 100:15") from None
+    modulus, radius = floats_of(text, f"{what} MODULUS_KPA:RADIUS_MM", "100:15", ":")
+    return Body(1e3 * modulus / (1 - poisson**2), 1e-3 * radius)
 
 
 def _tell(cue: str | None, bodies: list[Body], poisson: float, force_n: float, figure: Path | None) -> None:
@@ -194,7 +190,7 @@ def specimens(
         raise InputError(f"class {kind!r}; there are {', '.join(SpecimenClass)}, and all")
     refuse_existing(figure)
     tip = ball_of_words("--finger", finger, finger_poisson)
-    moduli = _moduli(moduli_kpa)
+    moduli = [1e3 * one for one in floats_of(moduli_kpa, "--moduli-kpa", MODULI, count=0)]
     classes = list(SpecimenClass) if kind == "all" else [SpecimenClass(kind)]
     stacks = {one: stacks_of(one, moduli, poisson) for one in classes}
     felt = {one: [specimen_object(each, tip, force_n) for each in stacks[one]] for one in classes}
@@ -209,15 +205,6 @@ def specimens(
 
         write_specimen_figure({one.value: felt[one] for one in classes}, force_n, figure)
     _print_drawn(answer, figure)
-
-
-def _moduli(text: str) -> list[float]:
-    from palpate.core import InputError
-
-    try:
-        return [1e3 * float(one) for one in text.split(",")]
-    except ValueError:
-        raise InputError(f"--moduli-kpa {text!r} are no numbers, as in 800,500,300,150,100") from None
 
 
 def _class_record(stacks: Sequence[StackedSpecimen], felt: Sequence[SoftObject]) -> dict[str, Any]:

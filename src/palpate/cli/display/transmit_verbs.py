@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Argument, Option
 
 from palpate.cli.display.softness_verbs import Finger, Poisson, ball_of_words
-from palpate.cli.verb_support import print_record, progress_bar
+from palpate.cli.verb_support import floats_of, print_record, progress_bar
 
 if TYPE_CHECKING:
     from palpate.mechanics.fingertip_laws import Fingertip
@@ -56,12 +56,15 @@ def press(
     from palpate.core import InputError, RangeError, refuse_existing
     from palpate.mechanics.fingertip_laws import hertz_fingertip
     from palpate.softness.touched_flat import read_touched_flat
-    from palpate.softness.transmission import MAX_LIVE_S, shared_peak_n, transmit
+    from palpate.softness.transmission import MAX_LIVE_S, CueNoise, shared_peak_n, transmit
 
     refuse_existing(out)
     if not 0 <= live_s <= MAX_LIVE_S:
         raise RangeError(f"--live-s {live_s:g}: 0 for none, at most {MAX_LIVE_S:g} s")
-    tip, noise = hertz_fingertip(ball_of_words("--finger", finger, finger_poisson)), _noise(weber)
+    tip, noise = (
+        hertz_fingertip(ball_of_words("--finger", finger, finger_poisson)),
+        CueNoise(*floats_of(weber, "--weber", "0.15:0.15", ":")),
+    )
     shape, named = _cylinder(cylinder), [_named(one) for one in readings]
     if len({name for name, _ in named}) < len(named):
         raise InputError("two readings of one name; write NAME=PATH to tell them apart")
@@ -106,10 +109,14 @@ def study(
     """
     from palpate.core import refuse_existing
     from palpate.mechanics.fingertip_laws import hertz_fingertip
+    from palpate.softness.transmission import CueNoise
     from palpate.workflows.transmission_study import study_record, transmission_study
 
     refuse_existing(out)
-    tip, noise = hertz_fingertip(ball_of_words("--finger", finger, finger_poisson)), _noise(weber)
+    tip, noise = (
+        hertz_fingertip(ball_of_words("--finger", finger, finger_poisson)),
+        CueNoise(*floats_of(weber, "--weber", "0.15:0.15", ":")),
+    )
     with progress_bar() as progress:
         found = transmission_study(
             tip,
@@ -148,19 +155,6 @@ def _keep(
     print_record(record)
 
 
-def _noise(words: str) -> CueNoise:
-    from palpate.core import InputError
-    from palpate.softness.transmission import CueNoise
-
-    arm, _, skin = words.partition(":")
-    try:
-        return CueNoise(float(arm), float(skin))
-    except ValueError as e:
-        if isinstance(e, InputError):
-            raise
-        raise InputError(f"--weber {words!r} is not ARM:SKIN, as in 0.15:0.15") from None
-
-
 def _cylinder(words: str | None) -> Cylinder | None:
     from palpate.core import InputError
     from palpate.softness.touched_flat import Cylinder
@@ -197,10 +191,7 @@ def _known(words: str | None, count: int) -> list[float | None]:
 
     if words is None:
         return [None] * count
-    try:
-        values = [1e3 * float(one) for one in words.split(",")]
-    except ValueError:
-        raise InputError(f"--true-kpa {words!r} is no list of moduli, E,E,… [kPa]") from None
+    values = [1e3 * one for one in floats_of(words, "--true-kpa", "100,200", count=0)]
     if len(values) != count or not all(value > 0 for value in values):
         raise InputError(
             f"--true-kpa has {len(values)} values for {count} readings; one above 0 kPa for each"

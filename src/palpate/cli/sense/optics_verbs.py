@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, cast
 
 from typer import Argument, Option
 
-from palpate.cli.verb_support import as_json, in_line, numbers_of, print_record, progress_bar, say
+from palpate.cli.verb_support import as_json, floats_of, in_line, numbers_of, print_record, progress_bar, say
 from palpate.core import InputError
 
 if TYPE_CHECKING:
@@ -160,11 +160,8 @@ def _specimen(
         seen = None if disc_px is None else cast("tuple[int, int, int]", numbers_of(disc_px, 3, "--disc-px"))
         turned = None if polariser_deg is None else math.radians(polariser_deg)
         return Disc(disc_mm * 1e-3, seen, turned)
-    try:
-        width, thickness = (float(part) * 1e-3 for part in str(strip_mm).split("x"))
-    except ValueError:
-        raise InputError(f"--strip-mm {strip_mm!r} is not WIDTHxTHICKNESS in mm, as in 20x6") from None
-    return Strip(width, thickness)
+    width, thickness = floats_of(str(strip_mm), "--strip-mm WIDTHxTHICKNESS", "20x6", "x")
+    return Strip(width * 1e-3, thickness * 1e-3)
 
 
 def _light(lamp: str, wavelength_nm: float, bandwidth_nm: float) -> Polariscope:
@@ -295,7 +292,7 @@ def colour_table(
         )
     size = image.shape[:2]
     if line_px is not None:
-        ends = cast("tuple[float, float]", _floats(str(orders), 2, "--orders"))
+        ends = cast("tuple[float, float]", floats_of(str(orders), "--orders", "-3,3"))
         line = cast("tuple[float, float, float, float]", numbers_of(line_px, 4, "--line-px"))
         known = line_orders(size, line, ends, width_px)
     else:
@@ -416,7 +413,7 @@ def _reference(text: str | None) -> tuple[int, int, float]:
     """Row, column and order."""
     if text is None:
         raise InputError("phases do not tell whole orders: give one place's, --reference-px X,Y,ORDER")
-    x, y, order = _floats(text, 3, "--reference-px")
+    x, y, order = floats_of(text, "--reference-px", "200,140,0.3")
     return round(y), round(x), order
 
 
@@ -443,13 +440,3 @@ def _mask(path: Path) -> np.ndarray:
 
 def _tone(given: str | None, usual: Literal["srgb", "linear"]) -> Literal["srgb", "linear"]:
     return usual if given is None else cast("Literal['srgb', 'linear']", given)
-
-
-def _floats(text: str, count: int, what: str) -> tuple[float, ...]:
-    try:
-        numbers = tuple(float(part) for part in text.split(","))
-    except ValueError:
-        numbers = ()
-    if len(numbers) != count:
-        raise InputError(f"{what} {text!r} is not {count} numbers separated by commas")
-    return numbers

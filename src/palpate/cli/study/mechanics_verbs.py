@@ -8,7 +8,7 @@ from typing import Annotated
 
 from typer import Option
 
-from palpate.cli.verb_support import print_record
+from palpate.cli.verb_support import floats_of, print_record
 from palpate.core import InputError
 
 Answer = dict[str, object]
@@ -237,11 +237,8 @@ def ting(
 
 def branch_of(text: str) -> tuple[float, float]:
     """Modulus [Pa] and relaxation time [s] from ``KPA:SECONDS``."""
-    modulus, _, time = text.partition(":")
-    try:
-        return float(modulus) * 1e3, float(time)
-    except ValueError:
-        raise InputError(f"branch {text!r} is not MODULUS_KPA:TIME_S, as in 100:0.5") from None
+    modulus, time = floats_of(text, "branch MODULUS_KPA:TIME_S", "100:0.5", ":")
+    return modulus * 1e3, time
 
 
 def one_of(depth_mm: float | None, force_n: float | None) -> None:

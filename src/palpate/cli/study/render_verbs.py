@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Argument, Option
 
 import palpate
-from palpate.cli.verb_support import print_record, progress_bar
+from palpate.cli.verb_support import floats_of, print_record, progress_bar
 
 if TYPE_CHECKING:
     from palpate.recordings.exchange.press_folder import PressFolder
@@ -68,7 +68,6 @@ def palm(
     import numpy as np
 
     from palpate.core.contact import Pose
-    from palpate.core.errors import InputError
     from palpate.core.files import new_file, refuse_existing
     from palpate.recordings.exchange import image_files
     from palpate.sensors import palm as palms
@@ -76,12 +75,7 @@ def palm(
     refuse_existing(out)
     sensor = palpate.sensor("palm" if preset == "palm" else f"palm-{preset}")
     spec, probe = sensor.spec, sensor.probe(indenter)
-    try:
-        lateral = tuple(float(part) for part in lateral_n.split(","))
-    except ValueError:
-        lateral = ()
-    if len(lateral) != 2:
-        raise InputError(f"--lateral-n {lateral_n!r} is not two numbers of newtons, X,Y")
+    aside_n, along_n = floats_of(lateral_n, "--lateral-n X,Y", "1.5,0")
     if probe.shape == "sphere":
         fitted = replace(spec, indenter_radius_m=probe.radius_m)
         spec = fitted if palms.has_table(fitted) else spec  # otherwise linear layers press it
@@ -95,7 +89,7 @@ def palm(
         opaque_underside=opaque_underside,
     )
     pose = Pose(x_mm * 1e-3, y_mm * 1e-3, depth_mm * 1e-3)
-    contact = palms.press(spec, pose, probe, lateral)
+    contact = palms.press(spec, pose, probe, (aside_n, along_n))
     frame = palms.render(contact, spec, np.random.default_rng(seed))
     result: dict[str, Any] = palms.contact_summary(contact, spec) | {"out": str(out)}
     with new_file(out) as path:
