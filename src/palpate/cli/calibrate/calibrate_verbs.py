@@ -395,16 +395,13 @@ def _changes(card: Any) -> list[str]:
     if card.interval_reset is not None:
         former = card.interval_reset.former_half_widths
         wider = [(t.column, t.score.half_width / former[t.column]) for t in card.targets if former[t.column]]
-        return [
-            card.interval_reset.text,
-            *(f"{name}: intervals {times:.2f} times as wide as before, on average" for name, times in wider),
-        ]
+        return [f"{name}: intervals {times:.2f} times as wide as before, on average" for name, times in wider]
     if card.adapted_from is None:
         return []
     return [
         f"adapted from {card.adapted_from}; before: the network alone, with the copy's own zero",
         *(
-            f"{name}: mean error {one['mae_before']:.3g} before, {one['mae_after']:.3g} after, by "
+            f"{name}: mean error {one['mae_before']:.3g} before, {one['mae_after']:.3g} after; correction: "
             f"{one['terms']}"
             for name, one in card.split.details["correction"].items()
         ),
