@@ -75,7 +75,6 @@ def test_a_lens_gives_the_untouched_area_in_mm2(press, tmp_path) -> None:
     Lens("pinhole", (focal, focal), (149.5, 149.5), (0.0,) * 5, (300, 300)).write(tmp_path / "lens.json")
     found = strict(compliance(*press, "--lens", tmp_path / "lens.json", "--json").output)
     assert found["untouched_area_mm2"] == pytest.approx(math.pi * 15.6**2, rel=0.01)
-    assert "A_c0" in compliance(*press, "--lens", tmp_path / "lens.json").output
 
 
 def test_a_calibrated_press_is_told_with_its_interval(press, calibration) -> None:
@@ -135,11 +134,7 @@ def test_grouped_trials_are_compared_by_a_mixed_model(experiment, tmp_path, figu
         experiment, tmp_path / "presses", "specimen,trial,day", lambda name, k: f"{name},{k},d{k}"
     )
     out = tmp_path / "compared"
-    result = compliance("compare", presses, "--out", out, "--group", "day", "--quiet")
-    said = " ".join(result.output.split())
-    assert "mixed model, 2 of day: rigid" in said
-    assert "specimen + (1 | day)" in said
-    assert "warning: ranks, Student's intervals" in said
+    compliance("compare", presses, "--out", out, "--group", "day", "--quiet")
     held = strict((out / "comparison.json").read_text())
     model = held["cues"]["series_stiffness_N_per_mm"]["mixed_model"]
     assert model["variance"]["day"] is None

@@ -48,8 +48,7 @@ def test_the_table_has_one_row_for_every_frame_but_the_first_and_json_says_what_
     press, tmp_path
 ) -> None:
     said = palpate("flow", press, "--out", tmp_path / "out").stdout
-    assert "11 steps by horn-schunck" in said
-    assert "px" in said
+    assert "steps: 11" in said
     table = pd.read_csv(tmp_path / "out/flow.csv")
     assert list(table) == [
         "frame", "speed_px", "divergence_per_frame", "border_flux_per_frame", "accumulated_divergence",
@@ -79,8 +78,6 @@ def test_the_divergence_is_of_the_region_that_is_given(press, tmp_path) -> None:
 def test_a_region_of_the_whole_image_has_no_divergence_but_the_border_flux(press, tmp_path) -> None:
     words = ("flow", press, "--region", "0,0,128,96", "--out")
     said = palpate(*words, tmp_path / "out").stdout
-    assert "border flux" in said
-    assert "accumulated divergence" not in said
     assert "--region" in said
     got = json.loads(palpate(*words, tmp_path / "again", "--json").stdout)
     assert got["region"]["kind"] == "image"

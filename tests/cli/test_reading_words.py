@@ -2,7 +2,7 @@
 
 import math
 
-from palpate.cli.sense.live_verbs import reading_words
+from palpate.cli.verb_support import reading_words
 from palpate.core import ClassReading, Reading, Readings
 
 COMMON = {"coverage": 0.9, "drift": None, "calibration": "c", "frame": "0", "time_s": 0.0}

@@ -68,8 +68,9 @@ def test_a_press_is_drawn_by_its_seed_and_its_numbers_are_said(frame, x_mm, exac
     assert abs(drawn.astype(int).mean() - other.astype(int).mean()) < 1
 
 
-def test_nothing_is_overwritten(frame):
+def test_nothing_is_overwritten_nor_computed_in_vain(frame, monkeypatch):
     frame.write_bytes(b"mine")
+    monkeypatch.setattr(palm, "press", None)
     assert "exists" in render("--depth-mm", "-1", out=frame, status=2).stderr
     assert frame.read_bytes() == b"mine"
 

@@ -93,7 +93,7 @@ def test_a_closed_input_says_so_and_keeps_what_was_given(tmp_path: Path) -> None
         (("new", "{}x", "--preset", "jam"), "there are jelly, bianchi-2010, threshold"),
         (("new", "{}x", "--preset", "bianchi-2010", "--moduli-kpa", "1,2"), "five above 0"),
         (("new", "{}x", "--preset", "bianchi-2010", "--moduli-kpa", "1,2,3,4,5"), "have to fall"),
-        (("new", "{}x", "--preset", "bianchi-2010", "--moduli-kpa", "soft"), "five numbers"),
+        (("new", "{}x", "--preset", "bianchi-2010", "--moduli-kpa", "soft"), "no numbers"),
         (("new", "{}x", "--seed", "-1"), "palpate: seed -1; 0 to"),
         (("export", "{}", "{}-bids"), "no participant yet"),
     ],

@@ -2,6 +2,7 @@
 
 import math
 import threading
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -123,6 +124,29 @@ class Around(Stage):
         self.stage.close()
 
 
+def changed(kind: type, **changes: Any) -> type:
+    """The kind with other members."""
+    return type("Changed", (kind,), changes)
+
+
+def elsewhere(away: Callable[[Stage], float]) -> type[Stage]:
+    """A stage that says that it is so far along x from where it is."""
+
+    def position_m(self: Stage) -> Position:
+        x, y, z = Stage.position_m(self)
+        return x + away(self), y, z
+
+    return changed(Stage, position_m=position_m)
+
+
+def tells_the_target(self: Stage) -> Position:
+    return self.sent[-1] if self.sent and self.moving() else Stage.position_m(self)
+
+
+def takes_any_speed(self: Stage, position_m: Position, speed_m_s: float) -> None:
+    Stage.move_to(self, position_m, min(abs(speed_m_s), 0.05) if speed_m_s else 1e-3)
+
+
 class Blocks(Stage):
     def move_to(self, position_m: Position, speed_m_s: float) -> None:
         super().move_to(position_m, speed_m_s)
@@ -137,28 +161,11 @@ class FallsShort(Stage):
         super().move_to((x, y, z), speed_m_s)
 
 
-class TellsTheTarget(Stage):
-    def position_m(self) -> Position:
-        return self.sent[-1] if self.sent and self.moving() else super().position_m()
-
-
 class WavesOnItsWay(Stage):
     def position_m(self) -> Position:
         x, y, z = super().position_m()
         wave = 0.1e-3 * math.sin(400 * self.clock.ns / 1e9) if self.moving() else 0.0
         return x + wave, y + wave, z + wave
-
-
-class GoesInAnArc(Stage):
-    def position_m(self) -> Position:
-        x, y, z = super().position_m()
-        return x + 0.1e-3 * math.sin(math.pi * self.gone()), y, z
-
-
-class Drifts(Stage):
-    def position_m(self) -> Position:
-        x, y, z = super().position_m()
-        return x + 1e-3 * (self.now_s - 100), y, z
 
 
 class NeverSaysThatItStands(Stage):
@@ -189,11 +196,6 @@ class RacesAlong(Stage):
         super().move_to(position_m, min(3 * speed_m_s, 50e-3) if 0 < speed_m_s <= 50e-3 else speed_m_s)
 
 
-class NeverSaysThatItMoves(Stage):
-    def moving(self) -> bool:
-        return False
-
-
 class TakesAnyPlace(Stage):
     """Clips what lies outside, as controllers do, rather than refuse it."""
 
@@ -207,11 +209,6 @@ class TakesNoNumber(Stage):
     def move_to(self, position_m: Position, speed_m_s: float) -> None:
         x, y, z = np.nan_to_num(position_m, nan=-5e-3, posinf=-5e-3, neginf=-5e-3).tolist()
         super().move_to((x, y, z), speed_m_s)
-
-
-class TakesAnySpeed(Stage):
-    def move_to(self, position_m: Position, speed_m_s: float) -> None:
-        super().move_to(position_m, min(abs(speed_m_s), 50e-3) if speed_m_s else 1e-3)
 
 
 class RefusesWithAnotherError(Stage):
@@ -293,19 +290,6 @@ class ClosesOnce(Stage):
         self.closed = True
 
 
-class GoesOnWhenClosed(Stage):
-    def close(self) -> None:
-        pass
-
-
-class InMillimetres(Stage):
-    travel = replace(Stage.travel, greatest_m=(40.0, 40.0, 12.0))
-
-
-class WithoutAcceleration(Stage):
-    travel = replace(Stage.travel, acceleration_m_s2=0.0)
-
-
 class TurnedRound(Stage):
     """Its z is the other way round, as when the sign of the mounting is wrong."""
 
@@ -331,17 +315,17 @@ def test_the_virtual_stage_keeps_every_law() -> None:
     [
         (Blocks, {"move-returns", "moving-reported"}),
         (FallsShort, {"target-reached"}),
-        (TellsTheTarget, {"position-on-path"}),
+        (changed(Stage, position_m=tells_the_target), {"position-on-path"}),
         (WavesOnItsWay, {"no-reversal"}),
-        (GoesInAnArc, {"straight-path"}),
-        (Drifts, {"holds-position"}),
+        (elsewhere(lambda self: 1e-4 * math.sin(math.pi * self.gone())), {"straight-path"}),
+        (elsewhere(lambda self: 1e-3 * (self.now_s - 100)), {"holds-position"}),
         (NeverSaysThatItStands, {"end-reported"}),
         (StopsSlowly, {"stop-time-z"}),
         (RacesAlong, {"speed-limit", "overshoot-z"}),
-        (NeverSaysThatItMoves, {"moving-reported"}),
+        (changed(Stage, moving=lambda self: False), {"moving-reported"}),
         (TakesAnyPlace, {"refuses-outside-travel"}),
         (TakesNoNumber, {"refuses-nan"}),
-        (TakesAnySpeed, {"refuses-speed"}),
+        (changed(Stage, move_to=takes_any_speed), {"refuses-speed"}),
         (RefusesWithAnotherError, {"refuses-outside-travel"}),
         (TakesASecondMove, {"second-move-refused", "first-move-continues"}),
         (RunsOn, {"overshoot-x"}),
@@ -350,9 +334,9 @@ def test_the_virtual_stage_keeps_every_law() -> None:
         (StopsInItsOwnThreadOnly, {"stop-from-thread"}),
         (FailsWhenStoppedAtAStand, {"stays-safe"}),
         (ClosesOnce, {"close-twice"}),
-        (GoesOnWhenClosed, {"refuses-when-closed"}),
-        (InMillimetres, {"travel-plausible"}),
-        (WithoutAcceleration, {"travel-plausible"}),
+        (changed(Stage, close=lambda self: None), {"refuses-when-closed"}),
+        (changed(Stage, travel=replace(Stage.travel, greatest_m=(40.0, 40.0, 12.0))), {"travel-plausible"}),
+        (changed(Stage, travel=replace(Stage.travel, acceleration_m_s2=0.0)), {"travel-plausible"}),
     ],
 )
 def test_a_broken_stage_is_told_by_the_laws_that_it_breaks(kind: type[Stage], laws: set[str]) -> None:
@@ -516,52 +500,17 @@ class Force:
         self.device.close()
 
 
-class StatesTwiceTheRate(Force):
-    @property
-    def rate_hz(self) -> float:
-        return 2 * self.device.rate_hz
+def drained(change: Callable[[Force, list[Wrench]], list[Wrench]]) -> type[Force]:
+    return changed(Force, drain=lambda self: change(self, self.device.drain()))
 
 
-class LosesEveryThird(Force):
-    def drain(self) -> list[Wrench]:
-        return [one for one in self.device.drain() if one.time_ns // 5_000_000 % 3]
+def restamped(time_ns: Callable[[int], int]) -> type[Force]:
+    return drained(lambda _, samples: [replace(one, time_ns=time_ns(one.time_ns)) for one in samples])
 
 
-class PausesNowAndThen(Force):
-    """Nothing for a seventh of a second, twice a second; then goes on."""
-
-    def drain(self) -> list[Wrench]:
-        return [one for one in self.device.drain() if one.time_ns % 500_000_000 > 140_000_000]
-
-
-class NeverForgets(Force):
-    kept: tuple[Wrench, ...] = ()
-
-    def drain(self) -> list[Wrench]:
-        self.kept = (*self.kept, *self.device.drain())[-5:]
-        return list(self.kept)
-
-
-class NewestFirst(Force):
-    def drain(self) -> list[Wrench]:
-        return self.device.drain()[::-1]
-
-
-class StampsByTheCalendar(Force):
-    def drain(self) -> list[Wrench]:
-        return [replace(one, time_ns=one.time_ns + 1_700_000_000_000_000_000) for one in self.device.drain()]
-
-
-class StampsInMicroseconds(Force):
-    def drain(self) -> list[Wrench]:
-        return [replace(one, time_ns=one.time_ns // 1000) for one in self.device.drain()]
-
-
-class StampsBackwards(Force):
-    def drain(self) -> list[Wrench]:
-        drained = self.device.drain()
-        jitter = [(one.time_ns // 5_000_000 % 2) * 20_000_000 for one in drained]
-        return [replace(one, time_ns=one.time_ns - j) for one, j in zip(drained, jitter, strict=True)]
+def never_forgets(sensor: Any, samples: list[Wrench]) -> list[Wrench]:
+    sensor.kept = [*getattr(sensor, "kept", ()), *samples][-5:]
+    return list(sensor.kept)
 
 
 class ShowsTheFirst(Force):
@@ -583,32 +532,24 @@ class LatestTakesAway(Force):
         return [one for one in self.device.drain() if one != self.taken]
 
 
-class Waits(Force):
-    def latest(self) -> Wrench:
-        self.clock.sleep(0.03)
-        return self.device.latest()
-
-
-class IsFrozen(Force):
-    def drain(self) -> list[Wrench]:
-        return [replace(one, force_n=(0.1, 0.2, 0.3)) for one in self.device.drain()]
-
-
-class StatesNoRange(Force):
-    @property
-    def range_n(self) -> tuple[float, float, float]:
-        return 0.0, 10.0, 10.0
-
-
-class ReadsBeyondItsRange(Force):
-    @property
-    def range_n(self) -> tuple[float, float, float]:
-        return 1.0, 1.0, 1.0
-
-
-class ReopensWhenClosed(Force):
-    def close(self) -> None:
-        pass
+FORCE_FAULTS: tuple[tuple[str, type[Force]], ...] = (
+    ("sample-rate", changed(Force, rate_hz=property(lambda self: 2 * self.device.rate_hz))),
+    ("sample-rate", drained(lambda _, samples: [one for one in samples if one.time_ns // 5_000_000 % 3])),
+    ("sample-gap", drained(lambda _, all_: [one for one in all_ if one.time_ns % 500_000_000 > 140_000_000])),
+    ("drain-once", drained(never_forgets)),
+    ("drain-order", drained(lambda _, samples: samples[::-1])),
+    ("host-clock", restamped(lambda time_ns: time_ns + 1_700_000_000_000_000_000)),  # by the calendar
+    ("host-clock", restamped(lambda time_ns: time_ns // 1000)),  # in microseconds
+    ("time-order", restamped(lambda time_ns: time_ns - time_ns // 5_000_000 % 2 * 20_000_000)),
+    ("latest-newest", ShowsTheFirst),
+    ("latest-age", ShowsTheFirst),
+    ("drain-complete", LatestTakesAway),
+    ("call-time", changed(Force, latest=lambda self: (self.clock.sleep(0.03), self.device.latest())[1])),
+    ("not-frozen", drained(lambda _, all_: [replace(one, force_n=(0.1, 0.2, 0.3)) for one in all_])),
+    ("range-stated", changed(Force, range_n=(0.0, 10.0, 10.0))),
+    ("force-in-range", changed(Force, range_n=(1.0, 1.0, 1.0))),
+    ("refuses-when-closed", changed(Force, close=lambda self: None)),
+)
 
 
 def test_the_virtual_force_sensor_keeps_every_law() -> None:
@@ -626,28 +567,8 @@ def test_the_noise_that_is_told_is_the_sensors() -> None:
     assert told == pytest.approx([math.hypot(0.005, 1 / 320 / math.sqrt(12))] * 3, rel=0.1)
 
 
-@pytest.mark.parametrize(
-    ("kind", "law"),
-    [
-        (StatesTwiceTheRate, "sample-rate"),
-        (LosesEveryThird, "sample-rate"),
-        (PausesNowAndThen, "sample-gap"),
-        (NeverForgets, "drain-once"),
-        (NewestFirst, "drain-order"),
-        (StampsByTheCalendar, "host-clock"),
-        (StampsInMicroseconds, "host-clock"),
-        (StampsBackwards, "time-order"),
-        (ShowsTheFirst, "latest-newest"),
-        (ShowsTheFirst, "latest-age"),
-        (LatestTakesAway, "drain-complete"),
-        (Waits, "call-time"),
-        (IsFrozen, "not-frozen"),
-        (StatesNoRange, "range-stated"),
-        (ReadsBeyondItsRange, "force-in-range"),
-        (ReopensWhenClosed, "refuses-when-closed"),
-    ],
-)
-def test_a_broken_force_sensor_is_told_by_the_law_that_it_breaks(kind: type[Force], law: str) -> None:
+@pytest.mark.parametrize(("law", "kind"), FORCE_FAULTS)
+def test_a_broken_force_sensor_is_told_by_the_law_that_it_breaks(law: str, kind: type[Force]) -> None:
     made = rig()
     sensor = kind(made.force, made.clock)  # type: ignore[arg-type]
     assert law in failed(check_force_sensor(sensor, clock=made.clock))
@@ -716,77 +637,34 @@ class PlainCamera:
         self.closed = True
 
 
-class HalfTheRate(PlainCamera):
-    true_rate_hz = 15.0
+def grabbed(change: Callable[[PlainCamera, int], int]) -> type[PlainCamera]:
+    def grab(self: PlainCamera, timeout_s: float = 1.0) -> tuple[int, Frame]:
+        time_ns, frame = PlainCamera.grab(self, timeout_s)
+        return change(self, time_ns), frame
+
+    return changed(PlainCamera, grab=grab)
 
 
-class AnotherRate(PlainCamera):
-    true_rate_hz = 25.0
-
-
-class TwiceTheRate(PlainCamera):
-    true_rate_hz = 60.0
-
-
-class StampsUnevenly(PlainCamera):
-    jitter_s = 0.02
-
-
-class Frozen(PlainCamera):
-    def picture(self) -> np.ndarray:
-        return np.full((16, 24), 7, np.uint8)
-
-
-class ChangesSize(PlainCamera):
-    def picture(self) -> np.ndarray:
-        return super().picture()[: self.rng.integers(14, 17)]
-
-
-class TurnedSize(PlainCamera):
-    size_px = (16, 24)
-
-
-class FromAQueue(PlainCamera):
-    """Returns the frame before the one that was asked for."""
-
-    def grab(self, timeout_s: float = 1.0) -> tuple[int, Frame]:
-        time_ns, frame = super().grab(timeout_s)
-        return time_ns - round(1e9 / self.rate_hz), frame
-
-
-class SameStamp(PlainCamera):
-    def grab(self, timeout_s: float = 1.0) -> tuple[int, Frame]:
-        return 0, super().grab(timeout_s)[1]
-
-
-class Calendar(PlainCamera):
-    def grab(self, timeout_s: float = 1.0) -> tuple[int, Frame]:
-        time_ns, frame = super().grab(timeout_s)
-        return time_ns + 1_700_000_000_000_000_000, frame
-
-
-class NoExposure(PlainCamera):
-    def frame(self, time_s: float) -> Frame:
-        return Frame(self.picture(), time_s)
-
-
-class ExposureInMilliseconds(PlainCamera):
-    def frame(self, time_s: float) -> Frame:
-        return Frame(self.picture(), time_s, 10.0)
-
-
-class NeverTimesOut(PlainCamera):
-    def grab(self, timeout_s: float = 1.0) -> tuple[int, Frame]:
-        return super().grab(1.0)
-
-
-class StatesNoRate(PlainCamera):
-    rate_hz = 0.0
-
-
-class NeverCloses(PlainCamera):
-    def close(self) -> None:
-        pass
+CAMERA_FAULTS: tuple[tuple[str, type[PlainCamera]], ...] = (
+    *(("frame-rate", changed(PlainCamera, true_rate_hz=rate_hz)) for rate_hz in (15.0, 25.0, 60.0)),
+    ("frame-interval", changed(PlainCamera, jitter_s=0.02)),
+    ("not-frozen", changed(PlainCamera, picture=lambda self: np.full((16, 24), 7, np.uint8))),
+    ("frame-size", changed(
+        PlainCamera, picture=lambda self: PlainCamera.picture(self)[: self.rng.integers(14, 17)])),
+    ("frame-size", changed(PlainCamera, size_px=(16, 24))),
+    # From a queue of one frame.
+    ("exposed-after-call", grabbed(lambda self, time_ns: time_ns - round(1e9 / self.rate_hz))),
+    ("time-order", grabbed(lambda self, time_ns: 0)),
+    ("host-clock", grabbed(lambda self, time_ns: time_ns + 1_700_000_000_000_000_000)),
+    ("exposure-stated", changed(
+        PlainCamera, frame=lambda self, time_s: Frame(self.picture(), time_s))),
+    ("exposure-length", changed(  # in milliseconds
+        PlainCamera, frame=lambda self, time_s: Frame(self.picture(), time_s, 10.0))),
+    ("frame-timeout", changed(
+        PlainCamera, grab=lambda self, timeout_s=1.0: PlainCamera.grab(self, 1.0))),
+    ("rate-stated", changed(PlainCamera, rate_hz=0.0)),
+    ("refuses-when-closed", changed(PlainCamera, close=lambda self: None)),
+)  # fmt: skip
 
 
 def test_the_virtual_camera_keeps_every_law() -> None:
@@ -808,27 +686,8 @@ def test_the_rate_is_found_whatever_frames_are_missed_between_grabs(rate_hz: flo
     assert found["frame-rate"].measured == pytest.approx(rate_hz, rel=2e-3)
 
 
-@pytest.mark.parametrize(
-    ("kind", "law"),
-    [
-        (HalfTheRate, "frame-rate"),
-        (AnotherRate, "frame-rate"),
-        (TwiceTheRate, "frame-rate"),
-        (StampsUnevenly, "frame-interval"),
-        (Frozen, "not-frozen"),
-        (ChangesSize, "frame-size"),
-        (TurnedSize, "frame-size"),
-        (FromAQueue, "exposed-after-call"),
-        (SameStamp, "time-order"),
-        (Calendar, "host-clock"),
-        (NoExposure, "exposure-stated"),
-        (ExposureInMilliseconds, "exposure-length"),
-        (NeverTimesOut, "frame-timeout"),
-        (StatesNoRate, "rate-stated"),
-        (NeverCloses, "refuses-when-closed"),
-    ],
-)
-def test_a_broken_camera_is_told_by_the_law_that_it_breaks(kind: type[PlainCamera], law: str) -> None:
+@pytest.mark.parametrize(("law", "kind"), CAMERA_FAULTS)
+def test_a_broken_camera_is_told_by_the_law_that_it_breaks(law: str, kind: type[PlainCamera]) -> None:
     camera = kind(clock := ManualClock(10**11))
     assert law in failed(check_camera(camera, clock=clock))
 

@@ -7,7 +7,6 @@ import pandas as pd
 import pytest
 
 from palpate.core import LabelError, UnitError
-from palpate.recordings.exchange.image_import import MAX_SHIFT, explained_by_shift, shift_doubt
 from palpate.recordings.exchange.label_files import unit_doubts, with_units
 
 
@@ -71,44 +70,6 @@ def test_numbers_that_touch_has_are_not_doubted(name, values) -> None:
 def test_a_column_with_a_unit_that_holds_text_is_told() -> None:
     (doubt,) = unit_doubts(table(depth_mm=["1.5", "deep", "2"]))
     assert "row 3" in doubt
-
-
-def scene(rng: np.random.Generator, rows: int, smooth: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Pictures that show two labels linearly, under noise; the third label is not seen."""
-    steps = rng.normal(size=(rows, 3))
-    labels = np.cumsum(steps, axis=0) if smooth else steps
-    shown = labels[:, :2] @ rng.normal(size=(2, 64))
-    return shown + rng.normal(0, 0.5, shown.shape), labels
-
-
-@pytest.mark.parametrize("smooth", [False, True])
-@pytest.mark.parametrize("shift", [-3, 1])
-def test_rows_that_are_shifted_are_told_by_how_many(shift, smooth, rng) -> None:
-    pictures, labels = scene(rng, 308, smooth)
-    pictures, moved = pictures[4:304], labels[4 - shift : 304 - shift]
-    shares = explained_by_shift(pictures, moved)
-    assert max(shares, key=shares.__getitem__) == shift
-    sign = "+" if shift > 0 else "-"
-    assert f"{sign} {abs(shift)}" in shift_doubt(pictures, moved)
-
-
-@pytest.mark.parametrize("smooth", [False, True])
-def test_rows_in_their_places_are_not_doubted(smooth) -> None:
-    for seed in range(6):
-        rng = np.random.default_rng(seed)
-        pictures, labels = scene(rng, 80, smooth)
-        assert shift_doubt(pictures, labels) == ""
-        blind = rng.normal(size=(80, 64))  # pictures that show nothing of the labels
-        assert shift_doubt(blind, labels) == ""
-
-
-def test_few_rows_and_pictures_that_never_change_are_not_judged(rng) -> None:
-    pictures, labels = scene(rng, 40, False)
-    assert shift_doubt(pictures, np.roll(labels, 1, axis=0)) == ""
-    assert set(explained_by_shift(np.ones((80, 9)), rng.normal(size=(80, 2)))) == set(
-        range(-MAX_SHIFT, MAX_SHIFT + 1)
-    )
-    assert shift_doubt(np.ones((80, 9)), rng.normal(size=(80, 2))) == ""
 
 
 def test_a_code_of_missing_values_is_no_unit() -> None:

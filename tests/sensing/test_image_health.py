@@ -8,7 +8,7 @@ import pytest
 from tests.refusals import refused
 
 from palpate.core import ImageError, InputError, RangeError
-from palpate.sensing.image_health import edge_blur_px, image_health, seen_frequency_hz
+from palpate.sensing.image_health import edge_blur_px, image_health
 
 HEIGHT, WIDTH = 120, 160
 ROWS, COLUMNS = np.mgrid[:HEIGHT, :WIDTH].astype(float)
@@ -62,40 +62,20 @@ def test_what_has_no_edge_has_no_blur() -> None:
 @pytest.mark.parametrize("noise", [0.7, 5.0])
 def test_noise_is_told_with_the_rounding_to_grey_levels_and_without_the_flicker(noise: float) -> None:
     flickering = movie(SCENE, amplitude=0.05, readout_s=0.02, noise=noise)
-    assert image_health(flickering, 30.0).noise == pytest.approx(math.sqrt(noise**2 + 1 / 12), rel=0.02)
+    assert image_health(flickering).noise == pytest.approx(math.sqrt(noise**2 + 1 / 12), rel=0.02)
 
 
-@pytest.mark.parametrize(
-    ("rate_hz", "lamp_hz", "readout_s", "seen_hz", "mains_hz"),
-    [
-        (30.0, 100.0, 0.0, 10.0, 50.0),
-        (25.0, 120.0, 0.02, 5.0, 60.0),
-    ],
-)
-def test_the_flicker_of_lamps_on_mains_is_told_with_its_amplitude_and_the_exposure_against_it(
-    rate_hz: float, lamp_hz: float, readout_s: float, seen_hz: float, mains_hz: float
-) -> None:
-    health = image_health(movie(SCENE, 60, rate_hz, lamp_hz, 0.04, readout_s), rate_hz)
-    assert seen_frequency_hz(lamp_hz, rate_hz) == pytest.approx(seen_hz)
-    assert health.flicker.frequency_hz == pytest.approx(seen_hz, abs=0.1)
-    assert health.flicker.mains_hz == mains_hz
-    assert math.hypot(health.flicker.amplitude, health.flicker.bands) == pytest.approx(0.04, rel=0.03)
-    (advice,) = health.advice
-    assert ("10 ms" if mains_hz == 50 else "8.333 ms") in advice
+@pytest.mark.parametrize(("lamp_hz", "readout_s"), [(100.0, 0.0), (120.0, 0.02), (7.0, 0.0)])
+def test_the_flicker_of_lamps_is_told_with_its_amplitude(lamp_hz: float, readout_s: float) -> None:
+    rate_hz = 25.0 if lamp_hz == 120.0 else 30.0
+    health = image_health(movie(SCENE, 60, rate_hz, lamp_hz, 0.04, readout_s))
+    assert health.flicker == pytest.approx(0.04, rel=0.04)
+    assert len(health.advice) == 1
 
 
 def test_even_light_does_not_flicker_and_lamps_in_step_with_the_frames_are_not_seen() -> None:
     for amplitude in (0.0, 0.04):
-        flicker = image_health(movie(SCENE, 60, 30.0, 120.0, amplitude, 0.02), 30.0).flicker
-        assert (flicker.frequency_hz, flicker.mains_hz) == (None, None)
-        assert max(flicker.amplitude, flicker.bands) < 2e-3
-
-
-def test_a_lamp_that_is_on_no_mains_is_told_as_such() -> None:
-    health = image_health(movie(SCENE, 60, 30.0, 7.0, 0.03), 30.0)
-    assert health.flicker.frequency_hz == pytest.approx(7.0, abs=0.1)
-    assert health.flicker.mains_hz is None
-    assert "supply" in health.advice[0]
+        assert image_health(movie(SCENE, 60, 30.0, 120.0, amplitude, 0.02)).flicker < 2e-3
 
 
 @pytest.mark.parametrize("frames", [16, 60])
@@ -105,52 +85,33 @@ def test_a_lamp_that_warms_up_does_not_flicker_and_one_that_does_both_is_told(
 ) -> None:
     at = np.linspace(0, 1, frames)
     rise = 0.03 * (at if math.isinf(settles_in) else 1 - np.exp(-at / settles_in))
-    alone = image_health(movie(SCENE, frames, rise=rise), 30.0)
-    assert alone.flicker.frequency_hz is None
-    assert not [word for word in alone.advice if "flicker" in word or "supply" in word]
-    both = image_health(movie(SCENE, frames, amplitude=0.04, rise=rise), 30.0)
-    assert both.flicker.frequency_hz == pytest.approx(10.0, abs=0.3)
-    assert both.flicker.mains_hz == 50.0
+    assert not image_health(movie(SCENE, frames, rise=rise)).advice
+    assert image_health(movie(SCENE, frames, amplitude=0.04, rise=rise)).flicker > 0.03
 
 
 def test_saturated_and_black_shares_are_those_that_were_put_in() -> None:
     scene = SCENE.copy()
     scene[:12] = 300.0  # a tenth
     scene[-6:] = -20.0  # a twentieth
-    health = image_health(movie(scene, 6), 30.0)
+    health = image_health(movie(scene, 6))
     assert health.clipped == pytest.approx(0.1, abs=1e-3)
     assert health.black == pytest.approx(0.05, abs=1e-3)
     assert "saturated" in health.advice[0]
 
 
-def test_focus_beside_a_reference_is_lost_with_blur_and_not_with_noise_or_brightness() -> None:
-    texture = cv2.GaussianBlur(np.random.default_rng(3).uniform(0, 255, (HEIGHT, WIDTH)), (0, 0), 1.0)
-    sharp = np.clip(128 + (texture - 128) * 1.5, 5, 250)
-    (reference,) = movie(sharp, 1, noise=1.0)
-    same = image_health(movie(0.8 * sharp, 12, noise=4.0), 30.0, reference=reference)
-    assert same.sharpness == pytest.approx(1.0, abs=0.04)
-    blurred = image_health(movie(cv2.GaussianBlur(sharp, (0, 0), 1.2), 12), 30.0, reference=reference)
-    assert blurred.sharpness is not None
-    assert 0.3 < blurred.sharpness < 0.75
-    assert "refocus" in blurred.advice[0]
-
-
 def test_a_good_picture_needs_nothing() -> None:
-    health = image_health(movie(step(0.8), 24, noise=1.0), 30.0)
+    health = image_health(movie(step(0.8), 24, noise=1.0))
     assert health.good
     assert health.blur_px == pytest.approx(0.8, abs=0.1)
-    assert health.to_dict()["flicker"]["frequency_hz"] is None
 
 
 def test_frames_that_tell_nothing_are_refused_with_what_to_give() -> None:
     frames = movie(SCENE, 4)
     with refused("too-few-frames", InputError):
-        image_health(frames[:3], 30.0)
-    with refused("frame-rate", RangeError, match="0 Hz"):
-        image_health(frames, 0.0)
+        image_health(frames[:3])
     with pytest.raises(RangeError, match="inside"):
-        image_health(frames, 30.0, region=(0, 0, 500, 20))
+        image_health(frames, region=(0, 0, 500, 20))
     with pytest.raises(InputError, match="one camera"):
-        image_health([*frames, frames[0][:60]], 30.0)
+        image_health([*frames, frames[0][:60]])
     with pytest.raises(ImageError, match="8-bit"):
-        image_health([SCENE] * 4, 30.0)
+        image_health([SCENE] * 4)

@@ -57,12 +57,3 @@ def test_there_must_be_something_to_sense(tmp_path) -> None:
     (tmp_path / "array.png.npy").rename(tmp_path / "array.png")
     with refused("image-format", ImageError, match=r"array.png"):
         open_source(tmp_path / "array.png")
-
-
-def test_what_was_shown_before_is_what_is_read_now(estimator, record_spots) -> None:
-    run = record_spots("fresh", 1, seed=9)
-    (first, *_) = sense(estimator, open_source(str(run.path)))
-    with pytest.warns(DeprecationWarning, match="keys' units"):
-        shown = first.shown()
-    assert shown["x_mm"].value == first.readings["x_mm"].in_unit("mm").value
-    assert first.readings["x"].value == pytest.approx(1e-3 * shown["x_mm"].value)

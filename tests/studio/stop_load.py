@@ -1,11 +1,10 @@
-"""Measures the emergency stop of a studio under load: ``python -m tests.studio.stop_load``.
+"""Measures the emergency stop of a studio under load.
 
 The studio runs with the virtual rig in processes of its own. A further process loads it: pages that are
 loaded over and over, clients that request and never read, and requests that are never completed, at the
 port of the pages and at that of the stop. Meanwhile stops are sent as a page sends them.
 """
 
-import argparse
 import asyncio
 import http.client
 import json
@@ -16,7 +15,6 @@ import subprocess
 import sys
 import time
 from contextlib import suppress
-from pathlib import Path
 
 PAGES, SILENT, HALF_OPEN = 300, 100, 1500
 AGAIN_S = 0.2  # between two loads of one page
@@ -176,34 +174,3 @@ class Load:
         """End it; how many pages were answered, by their status."""
         said, _ = self.process.communicate("")
         return json.loads(said)
-
-
-def main():
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--load", nargs=6)
-    parser.add_argument("--folder", type=Path)
-    parser.add_argument("--port", type=int, default=18431)
-    parser.add_argument("--count", type=int, default=300)
-    options = parser.parse_args()
-    if options.load:
-        port, cookie, ports, *numbers = options.load
-        asyncio.run(load(int(port), cookie, list(map(int, ports.split(","))), *map(int, numbers)))
-    process, address = started(options.folder, options.port)
-    try:
-        stops = Stops(address)
-        print(line("idle, kept", measured(stops, 100, fresh=False)), flush=True)
-        loaded = Load(stops)
-        for fresh in (False, True):
-            name = f"loaded, {'fresh' if fresh else 'kept'}"
-            stops.confirmed_ms.clear()
-            print(line(name, measured(stops, options.count, fresh=fresh)), flush=True)
-            if stops.listener:
-                print(line("  of which from receipt to confirmation", sorted(stops.confirmed_ms)), flush=True)
-        print("pages:", loaded.close())
-    finally:
-        process.terminate()
-        process.wait(60)
-
-
-if __name__ == "__main__":
-    main()

@@ -6,6 +6,7 @@ import json
 import os
 import signal
 import socket
+import subprocess
 import sys
 import threading
 import time
@@ -112,6 +113,19 @@ def raw(port, data, timeout=MAX_S):
         except (TimeoutError, ConnectionResetError):
             pass
         return found
+
+
+def test_who_reads_what_the_studio_says_does_not_wait_for_its_listener(tmp_path):
+    words = [sys.executable, "-I", "-S", str(SCRIPT)]
+    with subprocess.Popen(words, **dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)) as process:
+        config = {"host": "127.0.0.1", "port": 0, "token": "t", "targets": []}
+        process.stdin.write(json.dumps(config).encode() + b"\n")
+        process.stdin.flush()
+        assert json.loads(process.stdout.readline())["port"]
+        process.stdin.close()
+        assert process.stderr.read() == b""
+        assert process.poll() is None  # it still listens, for those that stop after the studio's end
+        process.kill()
 
 
 def request_of(listener, do="stop", token=None, **headers):

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.main import get_command
 
-from palpate.cli.command_kinds import Kinds, alone, by_calibration, by_option, by_word, words_of
+from palpate.cli.command_kinds import Kinds, alone, by_calibration, by_option, words_of
 from palpate.cli.verb_support import OUTPUT_HELP, OUTPUT_OPTIONS, Group, take_output_options
 from palpate.version import __version__
 
@@ -27,7 +27,7 @@ CALIBRATE = Kinds(
         "palm-known": "palpate.cli.sense.palm_verbs:known",
         "tip-unit": "palpate.cli.sense.tip_verbs:calibrate",
         "tip-pose": "palpate.cli.sense.tip_verbs:fit",
-        "shear-force": "palpate.cli.calibrate.shear_calibration_verbs:fit",
+        "shear-force": "palpate.cli.sense.shear_verbs:fit",
         "compliance": "palpate.cli.sense.compliance_verbs:calibrate",
     },
     by_option("--method", "image"),
@@ -51,34 +51,22 @@ CHECK_WEIGHT = Kinds(
     {
         "palm-unit": "palpate.cli.sense.palm_verbs:weigh",
         "tip-unit": "palpate.cli.sense.tip_verbs:weigh",
-        "shear-force": "palpate.cli.calibrate.shear_calibration_verbs:weigh",
+        "shear-force": "palpate.cli.sense.shear_verbs:weigh",
     },
     by_calibration,
     "--kind KIND",
 )
 RENDER = words_of("Draw what a virtual sensor would see.", "study.render_verbs", "palm", "tactip")
-LENS = Kinds(
+LENS = words_of(
     "A camera's lens: its numbers, and images without its bending.",
-    {
-        "calibrate": "palpate.cli.calibrate.lens_verbs:calibrate",
-        "board": "palpate.cli.calibrate.lens_verbs:board_picture",
-        "show": "palpate.cli.calibrate.lens_verbs:show",
-        "undistort": "palpate.cli.calibrate.lens_verbs:undistort",
-    },
-    by_word,
-    "KIND",
-)
-EXPERIMENT = Kinds(
+    "calibrate.lens_verbs",
+    "calibrate", "board", "show", "undistort",
+)  # fmt: skip
+EXPERIMENT = words_of(
     "Run an experiment on softness with people, and analyze it.",
-    {
-        "new": "palpate.cli.display.trial_verbs:new",
-        "run": "palpate.cli.display.trial_verbs:run",
-        "analyze": "palpate.cli.display.trial_verbs:analyze",
-        "export": "palpate.cli.display.trial_verbs:export",
-    },
-    by_word,
-    "KIND",
-)
+    "display.trial_verbs",
+    "new", "run", "analyze", "export",
+)  # fmt: skip
 COMPLIANCE = words_of(
     "Measure camera latency and stiffness; compare specimens.",
     "sense.compliance_verbs",
@@ -87,16 +75,11 @@ COMPLIANCE = words_of(
 TRANSMIT = words_of(
     "Let a virtual finger feel what a TacTip has touched.", "display.transmit_verbs", "press", "study"
 )
-OPTICS = Kinds(
+OPTICS = words_of(
     "Light, stress and what a material makes of them.",
-    {
-        "fringe-order": "palpate.cli.sense.optics_verbs:fringe_order",
-        "colour-table": "palpate.cli.sense.optics_verbs:colour_table",
-        "fit-c": "palpate.cli.sense.optics_verbs:fit_c",
-    },
-    by_word,
-    "KIND",
-)
+    "sense.optics_verbs",
+    "fringe-order", "colour-table", "fit-c",
+)  # fmt: skip
 IMPORT = words_of(
     "Bring a recording from elsewhere into a run.", "record.recording_verbs", "images", "palm", "press"
 )

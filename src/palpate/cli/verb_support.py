@@ -10,7 +10,7 @@ import shlex
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -20,6 +20,7 @@ from typer import Argument, Option
 from typer.core import TyperGroup
 
 if TYPE_CHECKING:
+    from palpate.core import MeasurementResult, Readings
     from palpate.core.provenance import Provenance
 
 OUTPUT_OPTIONS = {"--json": "Print JSON instead of text.", "--quiet": "Show no progress bar."}
@@ -253,6 +254,26 @@ def numbers_of(text: str | None, count: int, what: str) -> tuple[int, ...] | Non
     return numbers
 
 
+def floats_of(
+    text: str, what: str, example: str, mark: str = ",", count: int | None = None
+) -> tuple[float, ...]:
+    """Numbers with a mark between them.
+
+    Args:
+        count: how many; 0 for any number; by default as many as in the example.
+    """
+    from palpate.core.errors import InputError
+
+    count = len(example.split(mark)) if count is None else count
+    try:
+        numbers = tuple(float(part) for part in text.split(mark))
+    except ValueError:
+        numbers = ()
+    if not numbers or (count and len(numbers) != count):
+        raise InputError(f"{what} {text!r} are no numbers as in {example}")
+    return numbers
+
+
 def pairs_of(words: list[str], what: str) -> dict[str, str]:
     """Names and what each becomes, from ``name=value``."""
     from palpate.core.errors import InputError
@@ -352,3 +373,83 @@ def vectors_of(pairs: list[str]) -> dict[str, tuple[str, ...]]:
 def print_found(result: Any, text: str) -> None:
     """Print what was found, as text or as JSON."""
     say(json.dumps(result, indent=1, allow_nan=False) if as_json() else text)
+
+
+def print_record(record: Mapping[str, Any]) -> None:
+    """Print a record: as JSON, or as lines."""
+    print_found(record, record_text(record))
+
+
+def record_text(record: Mapping[str, Any], indent: str = "") -> str:
+    """A record as lines, one a value; the values of a part stand below its name.
+
+    Example:
+        >>> print(record_text({"force_N": 0.98066, "terms": {"lamp": 1.0}, "untold": []}))
+        force [N]: 0.98066
+        terms:
+          lamp: 1
+        untold: none
+    """
+    lines = []
+    for name, value in record.items():
+        label = f"{indent}{_label(name)}:"
+        if isinstance(value, Mapping) and value:
+            lines += [label, record_text(value, f"{indent}  ")]
+        elif isinstance(value, list) and any(isinstance(one, Mapping) for one in value):
+            lines += [label, *(f"{indent}  {in_line(one)}" for one in value)]
+        else:
+            lines.append(f"{label} {in_line(value)}")
+    return "\n".join(lines)
+
+
+def _label(name: str) -> str:
+    from palpate.core.units import has_unit, split_column
+
+    if not has_unit(name):
+        return name.replace("_", " ")
+    quantity, unit = split_column(name)
+    symbol = "" if unit.symbol == "ratio" else f" [{unit.symbol.replace('_per_', '/')}]"
+    return f"{quantity.replace('_', ' ')}{symbol}"
+
+
+def in_line(value: object) -> str:
+    """A value on one line."""
+    match value:
+        case Mapping():
+            return ", ".join(f"{_label(name)} {in_line(one)}" for name, one in value.items()) or "none"
+        case list() | tuple():
+            return ", ".join(map(in_line, value)) or "none"
+        case bool():
+            return "yes" if value else "no"
+        case float():
+            return f"{value:.5g}"
+    return "none" if value in (None, "") else str(value)
+
+
+BENCH_UNITS = {"m": "mm", "rad": "deg"}  # other units stay as the calibration has them
+
+
+def reading_words(readings: Readings) -> list[str]:
+    """Parts of a line: readings that have a value, and then those that have none, each reason once.
+
+    Example:
+        "x -11.541 mm ± 0.013 mm, inside the calibrated range", "y, rotation –: no contact"
+    """
+    told: list[str] = []
+    without: dict[str, list[str]] = {}
+    for one in readings.values():
+        if _has_value(one):
+            told.append(_in_bench_units(one))
+        else:
+            without.setdefault(one.verdict, []).append(one.quantity)
+    return told + [f"{', '.join(names)} –: {why}" for why, names in without.items()]
+
+
+def _has_value(reading: MeasurementResult) -> bool:
+    value = getattr(reading, "value", "")
+    return not math.isnan(value) if isinstance(value, float) else not isinstance(value, str) or bool(value)
+
+
+def _in_bench_units(reading: MeasurementResult) -> str:
+    shown = reading.in_unit(BENCH_UNITS[reading.unit]) if reading.unit in BENCH_UNITS else reading
+    return str(shown).replace(" ratio", "")

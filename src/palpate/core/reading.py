@@ -436,6 +436,18 @@ def _positive_definite(matrix: np.ndarray) -> bool:
     return symmetric and bool(np.linalg.eigvalsh(matrix).min() > 0)
 
 
+def frame_record(frame: str, time_s: float, readings: Readings | None) -> dict[str, Any]:
+    """The readings of a frame in plain values, for one JSON object."""
+    first = next(iter(readings.values()), None) if readings else None
+    return {
+        "frame": frame,
+        "time_s": round(time_s, 6),
+        "readings": {name: one.to_dict() for name, one in (readings or {}).items()},
+        "drift": None if first is None or first.drift is None else first.drift.to_dict(),
+        "calibration": None if first is None else first.calibration,
+    }
+
+
 def provenance(of: MeasurementResult) -> dict[str, Any]:
     """All that a reading carries beside its quantity and its value, for another made from it."""
     names = ("unit", "coverage", "valid", "why", "code", "drift", "calibration", "frame", "time_s")

@@ -27,7 +27,7 @@ from palpate.core import (
     Wrench,
 )
 from palpate.core.failure_log import record_failure, report_to_stderr
-from palpate.core.reading import OF_ALL_FRAMES, plain_number
+from palpate.core.reading import OF_ALL_FRAMES, frame_record, plain_number
 from palpate.core.shared_history import SharedHistory
 from palpate.sensing.live_sources import LiveSource, NoFrameYetError
 from palpate.sensing.streaming.live_readers import FrameReader, mean_image
@@ -83,15 +83,8 @@ class LiveReading:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for one JSON object; those of `palpate read` and the loop's own."""
-        readings = self.readings
-        first = None if readings is None else next(iter(readings.values()), None)
-        drift = None if first is None or first.drift is None else first.drift.to_dict()
         return {
-            "frame": self.frame,
-            "time_s": round(self.time_s, 6),
-            "readings": {name: one.to_dict() for name, one in (readings or {}).items()},
-            "drift": drift,
-            "calibration": None if first is None else first.calibration,
+            **frame_record(self.frame, self.time_s, self.readings),
             "source": self.source,
             "number": self.number,
             "latency_ms": round(1e3 * self.latency_s, 3),
@@ -155,7 +148,6 @@ class LiveLoop(Closing):
         self._outages = 0
         self._untouched: Image | None = None
         self._untouched_frames: tuple[Image, ...] = ()
-        self._untouched_rate_hz: float | None = None
         self._last_arrival_s = time.monotonic()
         for one in subscribers:
             self.subscribe(one)
@@ -280,11 +272,6 @@ class LiveLoop(Closing):
         return self._untouched_frames
 
     @property
-    def untouched_rate_hz(self) -> float | None:
-        """Rate at which these were taken: the camera's, less what was dropped between them; None without."""
-        return self._untouched_rate_hz
-
-    @property
     def zeroing(self) -> bool:
         """Whether frames of the untouched sensor are being taken."""
         return self._zeroing
@@ -314,8 +301,7 @@ class LiveLoop(Closing):
         latest, reader = self._latest, self._reader
         reading = None
         if latest is not None and latest.readings is not None:
-            readings = {name: one.to_dict() for name, one in latest.readings.items()}
-            reading = {"frame": latest.frame, "time_s": round(latest.time_s, 6), "readings": readings}
+            reading = frame_record(latest.frame, latest.time_s, latest.readings)
             reading["force_N"] = None if latest.force_n is None else plain_number(latest.force_n)
         force = self._force_now()
         return {
@@ -474,8 +460,6 @@ class LiveLoop(Closing):
                 return
             frames, self._zeros, self._zeroing = self._zeros, [], False
         images = [one.image for one in frames]
-        lasted_s = frames[-1].time_s - frames[0].time_s
-        self._untouched_rate_hz = (len(images) - 1) / lasted_s if lasted_s > 0 else None
         self._untouched_frames = tuple(images)
         self._take_zero(mean_image(images))
         self._let_rest(False)

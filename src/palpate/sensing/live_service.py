@@ -54,7 +54,6 @@ from palpate.sensing.streaming.live_readers import CalibrationReader, FrameReade
 from palpate.sensing.streaming.live_recorder import LiveRecorder
 from palpate.sensing.streaming.source_views import preset_of_camera, strain_view
 from palpate.sensing.streaming.touch_readers import ShearFrameReader, open_shear_reader
-from palpate.sensing.view_overlay import rounded_overlay
 from palpate.sensors.owned import read_preset
 
 LOOK_S = 0.2
@@ -298,7 +297,7 @@ class LiveService:
         found, overlay = self._watch.status(), self._watch.overlay
         if found is None or overlay is None or self.options.shear:  # its strain is drawn instead
             return found
-        return found | {"overlay": rounded_overlay(overlay)}
+        return found | {"overlay": overlay}
 
     def _strain_status(self) -> dict[str, Any] | None:
         seen = self._reader.seen if isinstance(self._reader, ShearFrameReader) else None

@@ -8,7 +8,6 @@ from __future__ import annotations
 import asyncio
 import sys
 import time
-import warnings
 from collections.abc import AsyncIterator, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from palpate.core import Closing, DeviceError, Image, PathText, Readings
-from palpate.core.reading import ReasonCode, Refusal
+from palpate.core.reading import ReasonCode, Refusal, frame_record
 from palpate.estimators.certified import Estimator, Zero
 from palpate.estimators.session_folder import calibration_in
 from palpate.recordings.exchange.image_files import read_image
@@ -43,21 +42,9 @@ class Sensed:
     readings: Readings
     latency_s: float
 
-    def shown(self) -> Readings:
-        """Deprecated: the readings, which are in the units of their columns themselves."""
-        warnings.warn("shown() is deprecated: readings are in their keys' units", DeprecationWarning, 2)
-        return self.readings
-
     def to_dict(self) -> dict[str, Any]:
         """Plain values for one JSON object; None for a value that could not be read."""
-        first = next(iter(self.readings.values()))
-        return {
-            "frame": self.frame,
-            "time_s": round(self.time_s, 6),
-            "readings": {name: reading.to_dict() for name, reading in self.readings.items()},
-            "drift": None if first.drift is None else first.drift.to_dict(),
-            "calibration": first.calibration,
-        }
+        return frame_record(self.frame, self.time_s, self.readings)
 
 
 def sense(estimator: Estimator, source: FileFrames, zero: Zero | None = None) -> Iterator[Sensed]:

@@ -493,3 +493,46 @@ def _within(region: Box | None, shape: tuple[int, ...]) -> Box:
             code="region-outside",
         )
     return region
+
+
+MIN_ARROW_PX = 0.3  # a mark that moved less is drawn as a dot
+MAX_OUTLINE_POINTS = 120
+
+
+def overlay_of(
+    seen: SeenTouch, skin: tuple[int, int, int, int] | None = None, *, arrow_times: float = 1.0
+) -> dict[str, Any]:
+    """Shapes that show what was seen, places to a tenth of a pixel.
+
+    Each has the role "skin", "region", "centre" or "mark". `lines` are closed: the skin, and the outline of
+    the touched region. `dots` are that region's centre, and marks that have not moved; `arrows` lead from
+    where a mark was to where it is.
+
+    Args:
+        skin: x, y, width and height of the skin in the frame, to be outlined [px].
+        arrow_times: by which the motion of marks is magnified.
+    """
+    if not arrow_times > 0:
+        raise RangeError(f"arrows {arrow_times} times as long as marks moved; give a factor above 0")
+    lines, dots, arrows = [], [], []
+    if skin is not None:
+        x, y, width, height = skin
+        corners = [[x, y], [x + width, y], [x + width, y + height], [x, y + height]]
+        lines.append({"role": "skin", "points": _rounded(corners)})
+    if (region := seen.region) is not None:
+        every = -(-len(region.outline_px) // MAX_OUTLINE_POINTS)
+        lines.append({"role": "region", "points": _rounded(region.outline_px[::every])})
+        dots.append({"role": "centre", "at": _rounded(region.centre_px)})
+    if (marks := seen.marks) is not None:
+        far = np.hypot(*marks.moved_px.T) >= MIN_ARROW_PX
+        dots += [{"role": "mark", "at": at} for at in _rounded(marks.at_px[~far])]
+        starts = _rounded(marks.at_px[far])
+        ends = _rounded(marks.at_px[far] + arrow_times * marks.moved_px[far])
+        arrows = [
+            {"role": "mark", "start": start, "end": end} for start, end in zip(starts, ends, strict=True)
+        ]
+    return {"lines": lines, "dots": dots, "arrows": arrows, "arrow_times": arrow_times}
+
+
+def _rounded(points: Any) -> Any:
+    return np.asarray(points, np.float64).round(1).tolist()

@@ -14,19 +14,23 @@ import shlex
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from html import escape
+from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 from nicegui import run, ui
 
 from palpate.core import InputError, PalpateError
-from palpate.softness import Mode, RenderingLaw, SoftObject, is_object_file, read_object
+from palpate.softness import Characteristic, Mode, RenderingLaw, SoftObject, is_object_file, read_object
 from palpate.softness.control import LoopSample
 from palpate.softness.process import BenchFile, RenderingSession, RenderingStatus
-from palpate.studio import softness_drawing, status_text
-from palpate.studio.page_shell import commands_html, page_shell
+from palpate.softness.rendering_law import LIMIT_WORDS
+from palpate.studio import status_text
+from palpate.studio.page_shell import commands_html, page_shell, paint
 from palpate.studio.status_text import age_note, number
+from palpate.studio.svg_drawing import Plot
 
 KEPT_S = 10.0  # of samples that are shown
 KEPT = 1000
@@ -306,12 +310,12 @@ class SoftnessPage:
             f"<b>{status.periods:,}</b> periods, <b>{status.late_share:.3%}</b> longer than 1.5 ms, longest "
             f"<b>{1e3 * status.longest_s:.1f}</b> ms"
         )
-        self._skin.set_content(softness_drawing.area_svg(law, samples))
-        self._arm.set_content(softness_drawing.displacement_svg(law, samples))
-        self._time.set_content(softness_drawing.time_svg(samples))
+        self._skin.set_content(area_svg(law, samples))
+        self._arm.set_content(displacement_svg(law, samples))
+        self._time.set_content(time_svg(samples))
         if law is not self._drawn:
             self._drawn = law
-            lines = [f"<li>{escape(line)}</li>" for line in softness_drawing.envelope_words(law)]
+            lines = [f"<li>{escape(line)}</li>" for line in envelope_words(law)]
             self._envelope.set_content(
                 f'<p class="soft">{escape(law.object.source)}</p><ul>{"".join(lines)}</ul>'
             )
@@ -339,3 +343,96 @@ def no_object_html(folder: Path) -> str:
         "as docs/how-to/render-softness.md shows. This command writes one, a ball of 50 kPa; then read the "
         f"folder again.</p>{commands_html([made + command])}"
     )
+
+
+INK, ACCENT, BAND, BAD = map(paint, ("ink", "accent", "band", "bad"))
+SIZE = 460, 280
+SPAN_S = 10.0
+MIN_SPAN_N = 0.5
+POINTS = 120  # of a curve that is drawn
+FELT = 400  # samples that are drawn
+
+
+def area_svg(law: RenderingLaw, felt: Sequence[LoopSample]) -> str:
+    """Force over contact area: the object's curve, what cannot be rendered shaded, what is felt as points."""
+    curve, end_n = law.object.area, shown_n(law)
+    end = 1e6 * float(curve.at_force(end_n))
+    plot = Plot(SIZE, (0.0, end), (0.0, end_n), x_name="contact area [mm²]", y_name="force [N]")
+    for low, high, limit in stretches(law):
+        if limit:
+            plot.span(1e6 * low, 1e6 * high, BAND if limit == "onset" else BAD)
+    plot.line(_points(curve, end_n, 1e6), INK, 2)
+    shown = _touched(felt) if law.mode is not Mode.KINESTHETIC else []
+    plot.dots([(1e6 * one.area_m2, one.force_n) for one in shown], ACCENT)
+    kept = "not rendered in CM2, a plate is in the display's place" if law.mode is Mode.KINESTHETIC else ""
+    return plot.svg("Force over contact area", _words(end_n, shown, kept))
+
+
+def shown_n(law: RenderingLaw) -> float:
+    """Force to which both curves are drawn: what the bounds and the display's base allow [N]."""
+    end_n = min(law.object.greatest_n, law.bounds.force_n)
+    base_m2 = law.display.greatest_m2
+    if law.mode is Mode.KINESTHETIC or base_m2 >= law.object.area.x[-1]:
+        return end_n
+    return min(end_n, float(law.object.area.force_at(base_m2)))
+
+
+def displacement_svg(law: RenderingLaw, felt: Sequence[LoopSample]) -> str:
+    """Force over displacement: the object's curve, and what is felt as points."""
+    curve, end_n = law.object.displacement, shown_n(law)
+    end = 1e3 * float(curve.at_force(end_n))
+    plot = Plot(SIZE, (0.0, end), (0.0, end_n), x_name="displacement [mm]", y_name="force [N]")
+    plot.line(_points(curve, end_n, 1e3), INK, 2)
+    shown = _touched(felt) if law.mode is not Mode.CUTANEOUS else []
+    plot.dots([(1e3 * one.displacement_m, one.force_n) for one in shown], ACCENT)
+    kept = "not rendered in CM3, the surface is held still" if law.mode is Mode.CUTANEOUS else ""
+    return plot.svg("Force over displacement", _words(end_n, shown, kept))
+
+
+def _points(curve: Characteristic, end_n: float, scale: float) -> list[tuple[float, float]]:
+    x = np.linspace(float(curve.x[0]), float(curve.at_force(end_n)), POINTS)
+    return list(zip((scale * x).tolist(), np.asarray(curve.force_at(x)).tolist(), strict=True))
+
+
+def time_svg(felt: Sequence[LoopSample]) -> str:
+    """Force on the finger over the last seconds."""
+    end_s = max(felt[-1].time_s if felt else 0.0, SPAN_S)
+    most_n = max(1.1 * max((one.force_n for one in felt), default=0.0), MIN_SPAN_N)
+    since = "time since it began [s]"
+    plot = Plot(SIZE, (end_s - SPAN_S, end_s), (0.0, most_n), x_name=since, y_name="force [N]")
+    if felt:
+        plot.line([(one.time_s, one.force_n) for one in felt[:: max(1, len(felt) // FELT)]], ACCENT)
+    words = f"{number(felt[-1].force_n, 2)} N now" if felt else "no force yet"
+    return plot.svg("Force on the finger over time", words)
+
+
+def stretches(law: RenderingLaw) -> list[tuple[float, float, str]]:
+    """Stretches of area with one verdict: from, to [m^2], and why not rendered; empty in CM2."""
+    if law.mode is Mode.KINESTHETIC:
+        return []
+    state = law.envelope(500)
+    ends = [0, *(np.flatnonzero(state.limit[1:] != state.limit[:-1]) + 1).tolist(), len(state.limit)]
+    return [
+        (float(state.area_m2[low]) if low else 0.0, float(state.area_m2[high - 1]), str(state.limit[low]))
+        for low, high in pairwise(ends)
+    ]
+
+
+def envelope_words(law: RenderingLaw) -> list[str]:
+    """What a display can render of an object, a line for each stretch of area."""
+    if law.mode is Mode.KINESTHETIC:
+        return ["CM2: a rigid plate is in the display's place; the arm alone is felt"]
+    return [
+        f"{1e6 * low:.1f} to {1e6 * high:.1f} mm²: {LIMIT_WORDS[limit] if limit else 'rendered as it is'}"
+        for low, high, limit in stretches(law)
+    ]
+
+
+def _touched(felt: Sequence[LoopSample]) -> list[LoopSample]:
+    shown = [one for one in felt if one.touched]
+    return shown[:: max(1, len(shown) // FELT)]
+
+
+def _words(greatest_n: float, shown: Sequence[LoopSample], kept: str) -> str:
+    felt = f"{len(shown)} points felt, to {number(max(one.force_n for one in shown), 2)} N" if shown else ""
+    return "; ".join(one for one in (f"the object's curve to {greatest_n:g} N", felt, kept) if one)

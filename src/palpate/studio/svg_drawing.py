@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from html import escape
+from itertools import starmap
 from typing import Any
 
 from palpate.core import Outline
@@ -18,9 +19,9 @@ INK, SOFT, LINE, ACCENT, BAND, BAD, CARD = map(
 MAX_PLACES = 3000  # that are drawn
 SPAN_S = 20.0  # of the force's time axis
 MIN_SPAN_N = 0.4
-WIDTH, HEIGHT = 640, 250
 BOX = "#ffd75e"  # seen on dark pictures and bright ones, with a black edge
-LEFT, RIGHT, TOP, BOTTOM = 52, 10, 12, 26
+LEFT, RIGHT, TOP = 50, 10, 14
+Point = tuple[float, float]
 
 
 def grid_svg(
@@ -128,49 +129,138 @@ def _cross(x: float, y: float, probe_mm: float, thick: float) -> str:
     )
 
 
-def force_svg(series: Mapping[str, Sequence[float]]) -> str:
-    """Force along x, y and z over the last seconds."""
-    ages = series["age_s"]
-    values = [v for axis in AXES for v in series[axis]]
-    low, high = _range(values)
+class Plot:
+    """Axes over a grid at round numbers, drawn as SVG; what lies beyond them is drawn at their edge.
+
+    Args:
+        size: width and height [px].
+        x, y: what each axis runs from and to.
+        y_name: words in the upper left.
+        x_name: words below the ticks of the x axis; none, where these say it.
+        x_ticks: places along x and their words; round numbers by default.
+    """
+
+    def __init__(
+        self,
+        size: tuple[int, int],
+        x: tuple[float, float],
+        y: tuple[float, float],
+        *,
+        y_name: str,
+        x_name: str = "",
+        x_ticks: Sequence[tuple[float, str]] = (),
+    ) -> None:
+        (self.width, self.height), self._x, self._y = size, x, y
+        self.bottom = self.height - (40 if x_name else 26)
+        ticks = x_ticks or [(value, f"{value:g}") for value in round_numbers(*x)]
+        self.parts = [*self._rows(), *self._columns(ticks)]
+        unit = f'<text y="{self.height - 7}" x="{self.width - RIGHT}" text-anchor="end" class="unit">'
+        self._names = f'<text x="{LEFT + 5}" y="{TOP + 9}" class="unit">{escape(y_name)}</text>' + (
+            f"{unit}{escape(x_name)}</text>" if x_name else ""
+        )
+
+    def at(self, x: float, y: float) -> tuple[float, float]:
+        """A point in the drawing [px]."""
+        across, up = (
+            min(max((value - low) / (high - low), 0.0), 1.0)
+            for value, (low, high) in ((x, self._x), (y, self._y))
+        )
+        return LEFT + across * (self.width - LEFT - RIGHT), self.bottom - up * (self.bottom - TOP)
+
+    def line(self, points: Iterable[Point], colour: str, width: float = 1.6, dashes: str = "") -> None:
+        """Points joined by a line."""
+        dashed = f' stroke-dasharray="{dashes}"' if dashes else ""
+        self.parts.append(
+            f'<polyline points="{self._joined(points)}" fill="none" stroke="{colour}" '
+            f'stroke-width="{width:g}" stroke-linejoin="round"{dashed}/>'
+        )
+
+    def band(self, lows: Sequence[Point], highs: Sequence[Point], colour: str) -> None:
+        """What lies between two lines."""
+        if lows and highs:
+            self.parts.append(
+                f'<polygon points="{self._joined((*lows, *reversed(highs)))}" fill="{colour}"/>'
+            )
+
+    def span(self, low: float, high: float, colour: str) -> None:
+        """A stretch of the x axis, shaded."""
+        left, right = self.at(low, 0.0)[0], self.at(high, 0.0)[0]
+        self.parts.append(
+            f'<rect x="{left:.1f}" y="{TOP}" width="{max(right - left, 0.8):.1f}" '
+            f'height="{self.bottom - TOP}" fill="{colour}" fill-opacity="0.35"/>'
+        )
+
+    def dots(self, points: Iterable[Point], colour: str) -> None:
+        """Points alone."""
+        for x, y in starmap(self.at, points):
+            self.parts.append(
+                f'<circle cx="{x:.1f}" cy="{y:.1f}" r="2.2" fill="{colour}" fill-opacity="0.45"/>'
+            )
+
+    def crosses(self, points: Iterable[Point], colour: str) -> None:
+        """Points that are told from others without a colour."""
+        path = "".join(f"M{x - 2.5:.1f} {y - 2.5:.1f}l5 5m-5 0l5 -5" for x, y in starmap(self.at, points))
+        self.parts.append(f'<path d="{path}" stroke="{colour}" stroke-width="1.2"/>')
+
+    def svg(self, title: str, words: str, attributes: str = "") -> str:
+        """The whole drawing, with what it is and shows for whoever does not see it."""
+        begin = f'<svg viewBox="0 0 {self.width} {self.height}" role="img"{attributes}>'
+        return "".join([begin, _named(title, words), *self.parts, self._names, "</svg>"])
+
+    def _joined(self, points: Iterable[Point]) -> str:
+        return " ".join(f"{x:.1f},{y:.1f}" for x, y in starmap(self.at, points))
+
+    def _rows(self) -> Iterator[str]:
+        values = round_numbers(*self._y)
+        digits = max(0, -math.floor(math.log10(nice_step((self._y[1] - self._y[0]) / 4)) + 1e-9))
+        for value in values:
+            y = self.at(self._x[0], value)[1]
+            yield (
+                f'<path d="M{LEFT} {y:.1f}H{self.width - RIGHT}" stroke="{LINE if value else SOFT}"/>'
+                f'<text x="{LEFT - 7}" y="{y + 4:.1f}" text-anchor="end">{number(value, digits)}</text>'
+            )
+
+    def _columns(self, ticks: Sequence[tuple[float, str]]) -> Iterator[str]:
+        for value, words in ticks:
+            x = self.at(value, self._y[0])[0]
+            anchor = "end" if x > self.width - RIGHT - 20 else "middle"
+            yield f'<text x="{x:.1f}" y="{self.bottom + 18}" text-anchor="{anchor}">{escape(words)}</text>'
+
+
+def last_seconds(size: tuple[int, int], values: Iterable[float], name: str, least: float = 0.2) -> Plot:
+    """Axes of the last `SPAN_S` before now, which is 0 s, and of values with 0; of no less than a span."""
+    finite = [value for value in values if math.isfinite(value)]
+    ticks = [(-age, f"−{age:g} s" if age else "now") for age in (20.0, 15.0, 10.0, 5.0, 0.0)]
+    return Plot(size, (-SPAN_S, 0.0), with_room(finite, least), y_name=name, x_ticks=ticks)
+
+
+def with_room(values: Sequence[float], least: float) -> tuple[float, float]:
+    """From the least to the greatest and 0, and some room for the name above."""
+    low, high = min((*values, 0.0)), max((*values, 0.0))
+    span = max(high - low, least)
+    return low - 0.06 * span, low + 1.14 * span
+
+
+def round_numbers(low: float, high: float) -> list[float]:
+    """About four round numbers from one to the other."""
     step = nice_step((high - low) / 4)
-    digits = max(0, -math.floor(math.log10(step) + 1e-9))
+    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+    return [round(i * step, 9) for i in range(first, last + 1)]
 
-    def across(age: float) -> float:
-        return LEFT + (1 - age / SPAN_S) * (WIDTH - LEFT - RIGHT)
 
-    def down(value: float) -> float:
-        return TOP + (high - value) / (high - low) * (HEIGHT - TOP - BOTTOM)
+def force_svg(series: Mapping[str, Sequence[float]]) -> str:
+    """Draw the force over the last seconds.
 
-    parts = [
-        f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img">',
-        _named("Force of the last seconds", _force_in_words(series)),
-    ]
-    first = math.ceil(low / step - 1e-9)
-    for i in range(first, math.floor(high / step + 1e-9) + 1):
-        y, zero = down(i * step), i == 0
-        parts.append(
-            f'<path d="M{LEFT} {y:.1f}H{WIDTH - RIGHT}" stroke="{SOFT if zero else LINE}" '
-            f'stroke-width="{1.2 if zero else 1}"/>'
-            f'<text x="{LEFT - 7}" y="{y + 4:.1f}" text-anchor="end">{number(i * step, digits)}</text>'
-        )
-    for age in (20, 15, 10, 5, 0):
-        anchor = "end" if age == 0 else "middle"
-        age_text = "now" if age == 0 else f"−{age} s"
-        parts.append(f'<text x="{across(age):.1f}" y="{HEIGHT - 7}" text-anchor="{anchor}">{age_text}</text>')
-    parts.append(f'<text x="{LEFT + 5}" y="{TOP + 9}" class="unit">N</text>')
+    Args:
+        series: ages of bins in s, oldest first, and the means of each axis.
+    """
+    plot = last_seconds((640, 250), [v for axis in AXES for v in series[axis]], "N", MIN_SPAN_N)
     for axis, colour in AXES.items():
-        points = " ".join(
-            f"{across(age):.1f},{down(value):.1f}"
-            for age, value in zip(ages, series[axis], strict=True)
-            if 0 <= age <= SPAN_S
+        aged = zip(series["age_s"], series[axis], strict=True)
+        plot.line(
+            [(-age, value) for age, value in aged if 0 <= age <= SPAN_S], colour, 2 if axis == "z" else 1.4
         )
-        parts.append(
-            f'<polyline points="{points}" fill="none" stroke="{colour}" '
-            f'stroke-width="{2 if axis == "z" else 1.4}" stroke-linejoin="round"/>'
-        )
-    parts.append("</svg>")
-    return "".join(parts)
+    return plot.svg("Force of the last seconds", _force_in_words(series))
 
 
 def regions_svg(regions: Sequence[Mapping[str, Any]], size_px: tuple[int, int]) -> str:
@@ -188,15 +278,6 @@ def regions_svg(regions: Sequence[Mapping[str, Any]], size_px: tuple[int, int]) 
             f'font-family="system-ui,sans-serif">{escape(str(region["name"]))}</text>'
         )
     return "".join(parts)
-
-
-def _range(values: Sequence[float]) -> tuple[float, float]:
-    low, high = min((*values, 0.0)), max((*values, 0.0))
-    if high - low < MIN_SPAN_N:
-        middle = (high + low) / 2
-        low, high = middle - MIN_SPAN_N / 2, middle + MIN_SPAN_N / 2
-    room = 0.06 * (high - low)
-    return low - room, high + room
 
 
 def nice_step(step: float) -> float:

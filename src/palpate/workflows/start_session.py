@@ -211,7 +211,7 @@ class StartSession(StoredSession):
         frames = [feed.grab() for _ in range(STILL_FRAMES)]
         lasted_s = (frames[-1].arrived_ns - frames[0].arrived_ns) / 1e9
         rate_hz = (len(frames) - 1) / lasted_s if lasted_s > 0 else 1.0
-        health = image_health([one.image for one in frames], rate_hz, region=feed.region)
+        health = image_health([one.image for one in frames], region=feed.region)
         height, width = frames[0].image.shape[:2]
         found = {"rate_hz": rate_hz, "size_px": [width, height], "health": health.to_dict()}
         self.state.settings = json.loads(json.dumps(found))  # as its file gives it back

@@ -381,12 +381,31 @@ def _card_text(card: Any, out: Path) -> str:
     for one in card.classes or ():
         lines += [*class_lines(one, one.score, card.coverage), *one.findings]
     lines += [*card_findings(card), *(_vector_text(vector) for vector in card.vectors or ())]
+    lines += _changes(card)
     if card.choice is not None:
         lines += _choice_lines(card)
     if card.training is not None:
         lines.append(f"learnt in {card.training.sentence}")
     lines += [f"audit: {card.split.audit_text}", f"report: {out / 'report.html'}"]
     return "\n".join(lines)
+
+
+def _changes(card: Any) -> list[str]:
+    """What differs from the calibration that this one was made from; nothing, where it is of its own."""
+    if card.interval_reset is not None:
+        former = card.interval_reset.former_half_widths
+        wider = [(t.column, t.score.half_width / former[t.column]) for t in card.targets if former[t.column]]
+        return [f"{name}: intervals {times:.2f} times as wide as before, on average" for name, times in wider]
+    if card.adapted_from is None:
+        return []
+    return [
+        f"adapted from {card.adapted_from}; before: the network alone, with the copy's own zero",
+        *(
+            f"{name}: mean error {one['mae_before']:.3g} before, {one['mae_after']:.3g} after; correction: "
+            f"{one['terms']}"
+            for name, one in card.split.details["correction"].items()
+        ),
+    ]
 
 
 def _card_scores(card: Any) -> str:
@@ -462,9 +481,6 @@ def _scores_text(scores: dict[str, Any], card: Card, run: Manifest) -> str:
     return "\n".join(filter(None, [table, valid, counted, day, simulated_text(card, run)]))
 
 
-HEAD = ("target", "unit", "MAE before", "MAE after", "correction", "90 % interval", "covered")
-
-
 def adapt(
     calibration: Annotated[Path, Argument(help="Calibration folder; it is left as it is.")],
     run: Annotated[Path, Argument(help="Labelled run of your own copy, ten presses or more.")],
@@ -493,12 +509,12 @@ def adapt(
 
     stated = {} if instruments is None else read_instruments(instruments)
     _check_lens(read_card(calibration), lens)
-    work, text = (reset_intervals, _reset_text) if intervals_only else (take_over, _adapted_text)
+    work = reset_intervals if intervals_only else take_over
     with progress_bar() as progress:
         card = work(calibration, _labelled(run), out, progress, instruments=stated)
         progress("writing the report", 0, 1)
         palpate.write_report(out, out / REPORT_FILE)
-    print_found(card.model_dump(mode="json"), text(card, out, REPORT_FILE))
+    print_found(card.model_dump(mode="json"), _card_text(card, out))
 
 
 def _check_lens(card: Card, lens: Path | None) -> None:
@@ -506,79 +522,3 @@ def _check_lens(card: Card, lens: Path | None) -> None:
 
     if lens is not None:
         card.input.check_lens(Lens.read(lens))
-
-
-def _reset_text(card: Any, out: Path, report: str) -> str:
-    from palpate.calibration.coverage.range_scores import card_findings
-    from palpate.reports.evaluation_text import class_lines
-    from palpate.reports.terminal_text import instrument_lines
-
-    former = card.interval_reset.former_half_widths
-    wider = [
-        f"{t.column}: intervals {t.score.half_width / former[t.column]:.2f} times as wide as before, on "
-        "average over these rows"
-        for t in card.targets
-        if former[t.column] > 0
-    ]
-    classes = [
-        line
-        for one in card.classes or ()
-        for line in (*class_lines(one, one.score, card.coverage), *one.findings)
-    ]
-    lines = [
-        f"calibration {card.id}: {out}",
-        card.interval_reset.text,
-        *([_card_scores(card)] if card.targets else ()),
-        *instrument_lines(card.targets),
-        *wider,
-        *classes,
-        *card_findings(card),
-        *(_vector_text(vector) for vector in card.vectors or ()),
-        f"report: {out / report}",
-    ]
-    return "\n".join(lines)
-
-
-def _adapted_text(card: Any, out: Path, report: str) -> str:
-    from palpate.reports.terminal_text import instrument_lines
-
-    lines = [HEAD, *(_cells(target, card.split.details["correction"]) for target in card.targets)]
-    widths = [max(len(line[i]) for line in lines) for i in range(len(HEAD))]
-    table = [
-        "  ".join(
-            cell.ljust(w) if i in (0, 1, 4) else cell.rjust(w)
-            for i, (cell, w) in enumerate(zip(line, widths, strict=True))
-        )
-        for line in lines
-    ]
-    scored = (
-        f"scored on {card.split.groups} groups, each read by a correction fitted without it "
-        f"(split {card.split.kind}); before: the network alone, with the copy's own zero"
-    )
-    return "\n".join(
-        [
-            f"calibration {card.id}: {out}, adapted from {card.adapted_from}",
-            *table,
-            *instrument_lines(card.targets),
-            scored,
-            f"audit: {card.split.audit_text}",
-            f"report: {out / report}",
-        ]
-    )
-
-
-def _cells(target: Any, corrections: dict[str, Any]) -> tuple[str, ...]:
-    from palpate.core import half_width_text, rounded
-    from palpate.reports.terminal_text import mean_error_half_width, percent
-
-    change, score = corrections[target.column], target.score
-    off = mean_error_half_width(score, score.n)
-    return (
-        target.column,
-        target.unit,
-        rounded(change["mae_before"], off),
-        rounded(change["mae_after"], off),
-        change["terms"],
-        f"±{half_width_text(score.half_width)}",
-        f"{percent(score.coverage_90, score.coverage_90_low, score.coverage_90_high)} %",
-    )

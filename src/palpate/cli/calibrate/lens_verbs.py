@@ -5,17 +5,17 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
+from typing import TYPE_CHECKING, Annotated, Literal, cast
 
 from typer import Argument, Option
 
-from palpate.cli.verb_support import numbers_of, print_found, progress_bar
+from palpate.cli.verb_support import numbers_of, print_record, progress_bar
 from palpate.core import ImageError, Lens
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from palpate.calibration.lens import Board, LensFit
+    from palpate.calibration.lens import Board
 
 BoardSize = Annotated[str, Option("--board", help="COLUMNSxROWS of inner corners, one less than squares.")]
 SquareMm = Annotated[float, Option(help="Side of a square [mm].")]
@@ -51,11 +51,11 @@ def calibrate(
     write_lens_figure(fit, picture)
     with new_file(out) as building:
         building.write_text(json.dumps(fit.card(), indent=1) + "\n", encoding="utf-8")
-    print_found(fit.card() | {"picture": str(picture)}, _fit_text(fit, out, picture))
+    print_record(fit.card() | {"lens": str(out), "picture": str(picture)})
 
 
-def board_picture(
-    board: BoardSize,
+def board(
+    size: BoardSize,
     out: Annotated[Path, Option(help="PNG to make, for print; must not exist.")],
     charuco: Charuco = None,
     square_px: Annotated[int, Option(help="Side of a square in the picture [px].", min=8, max=400)] = 120,
@@ -66,10 +66,10 @@ def board_picture(
 
     Example: palpate lens board --board 8x5 --charuco 4X4_50 --out board.png
     """
-    picture = _board(board, 25.0, charuco).picture(square_px)
+    picture = _board(size, 25.0, charuco).picture(square_px)
     _write_png(out, picture)
     height, width = picture.shape
-    print_found({"board": str(out), "size_px": [height, width]}, f"{out}: {width}x{height} px")
+    print_record({"board": str(out), "size_px": [height, width]})
 
 
 def show(lens: Annotated[Path, Argument(help="Lens file.")]) -> None:
@@ -79,7 +79,7 @@ def show(lens: Annotated[Path, Argument(help="Lens file.")]) -> None:
     """
     found = Lens.read(lens)
     field = math.degrees(found.field_rad)
-    print_found(found.card() | {"field_deg": field}, _lens_text(found))
+    print_record(found.card() | {"field_deg": field})
 
 
 def undistort(
@@ -106,7 +106,7 @@ def undistort(
     except ImageError as error:
         raise ImageError(f"{image}: {error}") from error
     _write_png(out, picture)
-    print_found({"image": str(out), "lens": found.id, "onto": flat.card()}, str(out))
+    print_record({"image": str(out), "lens": found.id, "onto": flat.card()})
 
 
 def _write_png(path: Path, image: np.ndarray) -> None:
@@ -122,35 +122,3 @@ def _board(size: str, square_mm: float, charuco: str | None) -> Board:
 
     columns, rows = cast("tuple[int, int]", numbers_of(size, 2, "--board"))
     return Board(columns, rows, square_mm * 1e-3, charuco)
-
-
-def _lens_text(lens: Lens) -> str:
-    (fx, fy), (cx, cy), (height, width) = lens.focal_px, lens.centre_px, lens.size_px
-    bends = ", ".join(f"{value:.5g}" for value in lens.distortion)
-    return (
-        f"lens {lens.id}{' ' + lens.name if lens.name else ''}: {lens.model}, {width}x{height} px\n"
-        f"focal lengths {fx:.2f}, {fy:.2f} px; centre {cx:.2f}, {cy:.2f} px; distortion {bends}\n"
-        f"to {math.degrees(lens.field_rad):.1f} degrees from the axis"
-    )
-
-
-def _fit_text(fit: LensFit, out: Path, picture: Path) -> str:
-    count = len(fit.views) + len(fit.rejected)
-    other = fit.other_held_out_px
-    numbers: list[Any] = [
-        f"  {name:6} {value:12.5g}  +- {fit.standard_errors[name]:.2g} by corners, "
-        f"{fit.standard_errors_by_views[name]:.2g} by views (standard errors)"
-        for name, value in fit.numbers.items()
-    ]
-    return "\n".join(
-        [
-            _lens_text(fit.lens),
-            *numbers,
-            f"{len(fit.views)} of {count} photographs used; boards cover {fit.coverage:.0%} of the frame",
-            f"error {fit.mean_px:.3f} px mean, {fit.rms_px:.3f} px rms, {fit.held_out_px:.3f} px held out",
-            f"as {fit.other_model}, held out: {'no fit' if other is None else f'{other:.3f} px'}",
-            *(f"left out {view.name}: {view.reason}" for view in fit.rejected),
-            *(f"note: {warning}" for warning in fit.warnings),
-            f"{out}, {picture}",
-        ]
-    )

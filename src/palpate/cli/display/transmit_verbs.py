@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Argument, Option
 
 from palpate.cli.display.softness_verbs import Finger, Poisson, ball_of_words
-from palpate.cli.verb_support import print_found, progress_bar
+from palpate.cli.verb_support import floats_of, print_record, progress_bar
 
 if TYPE_CHECKING:
     from palpate.mechanics.fingertip_laws import Fingertip
@@ -56,12 +56,15 @@ def press(
     from palpate.core import InputError, RangeError, refuse_existing
     from palpate.mechanics.fingertip_laws import hertz_fingertip
     from palpate.softness.touched_flat import read_touched_flat
-    from palpate.softness.transmission import MAX_LIVE_S, shared_peak_n, transmit
+    from palpate.softness.transmission import MAX_LIVE_S, CueNoise, shared_peak_n, transmit
 
     refuse_existing(out)
     if not 0 <= live_s <= MAX_LIVE_S:
         raise RangeError(f"--live-s {live_s:g}: 0 for none, at most {MAX_LIVE_S:g} s")
-    tip, noise = hertz_fingertip(ball_of_words("--finger", finger, finger_poisson)), _noise(weber)
+    tip, noise = (
+        hertz_fingertip(ball_of_words("--finger", finger, finger_poisson)),
+        CueNoise(*floats_of(weber, "--weber", "0.15:0.15", ":")),
+    )
     shape, named = _cylinder(cylinder), [_named(one) for one in readings]
     if len({name for name, _ in named}) < len(named):
         raise InputError("two readings of one name; write NAME=PATH to tell them apart")
@@ -106,10 +109,14 @@ def study(
     """
     from palpate.core import refuse_existing
     from palpate.mechanics.fingertip_laws import hertz_fingertip
+    from palpate.softness.transmission import CueNoise
     from palpate.workflows.transmission_study import study_record, transmission_study
 
     refuse_existing(out)
-    tip, noise = hertz_fingertip(ball_of_words("--finger", finger, finger_poisson)), _noise(weber)
+    tip, noise = (
+        hertz_fingertip(ball_of_words("--finger", finger, finger_poisson)),
+        CueNoise(*floats_of(weber, "--weber", "0.15:0.15", ":")),
+    )
     with progress_bar() as progress:
         found = transmission_study(
             tip,
@@ -145,65 +152,7 @@ def _keep(
         for one in found:
             (folder / f"{one.name}.toml").write_text(object_file(one), encoding="utf-8")
     record["out"] = str(out)
-    print_found(record, _text(record))
-
-
-def _text(record: dict[str, Any]) -> str:
-    lines = []
-    for one in record["objects"]:
-        cue = one["displacement"]
-        known = "" if cue["true"] is None else f"; the object itself {cue['true']:.4g}"
-        lines.append(
-            f"{one['name']:8} felt {cue['felt']:.4g} N/mm ({cue['low']:.4g} to {cue['high']:.4g}, 90 %)"
-            f"{known}; {one['inside']:.0%} of the press rendered as it is"
-        )
-    for stage, one in record["judged"].items():
-        pairs = ", ".join(f"{pair} {p:.0%}" for pair, p in one["pairs"].items())
-        lines.append(f"{stage:8} softer one named: {pairs}; places right {one['total']:.0%}")
-    if record["ranks"]:
-        lines.append(f"order kept in what is felt: {'yes' if record['ranks']['felt'] else 'no'}")
-    if study_ := record["study"]:
-        lines += _study_lines(study_)
-    if live := record.get("live"):
-        lines.append(f"live: {live['periods']} periods, peak {live['peak_N']:.2f} N")
-    return "\n".join([*lines, record["simulated"], f"page, numbers and objects: {record['out']}"])
-
-
-def _study_lines(study_: dict[str, Any]) -> list[str]:
-    rigs, (arm, skin) = study_["rigs"], study_["felt_in_order"].values()
-
-    def of(counts: dict[str, int]) -> str:
-        return ", ".join(f"{name} {count}" for name, count in counts.items())
-
-    felt, own = study_["intervals_hold_what_would_be_felt"], study_["intervals_hold_the_object_itself"]
-    sizes, moduli = study_["median_size_of_error"], study_["median_size_of_error_as_modulus"]
-    errors = study_["median_error"]["displacement"]
-    return [
-        f"{rigs} rigs: readings in order {study_['readings_in_order']}, felt {arm} (arm), {skin} (skin)",
-        f"readings hold the truth: {of(study_['readings_hold'])}",
-        f"intervals hold what would be felt, arm: {of(felt['displacement'])}; skin: {of(felt['area'])}",
-        f"they hold the object itself, arm: {of(own['displacement'])}; skin: {of(own['area'])}",
-        *(
-            f"median error, {mark}, arm: "
-            + ", ".join(f"{name} {one:+.1%}" for name, one in errors[mark].items())
-            for mark in errors
-        ),
-        f"median size of the whole: {sizes['displacement']:.1%} (arm), {sizes['area']:.1%} (skin)",
-        f"told as the object's modulus: {moduli['displacement']:.0%} and {moduli['area']:.0%}",
-    ]
-
-
-def _noise(words: str) -> CueNoise:
-    from palpate.core import InputError
-    from palpate.softness.transmission import CueNoise
-
-    arm, _, skin = words.partition(":")
-    try:
-        return CueNoise(float(arm), float(skin))
-    except ValueError as e:
-        if isinstance(e, InputError):
-            raise
-        raise InputError(f"--weber {words!r} is not ARM:SKIN, as in 0.15:0.15") from None
+    print_record(record)
 
 
 def _cylinder(words: str | None) -> Cylinder | None:
@@ -242,10 +191,7 @@ def _known(words: str | None, count: int) -> list[float | None]:
 
     if words is None:
         return [None] * count
-    try:
-        values = [1e3 * float(one) for one in words.split(",")]
-    except ValueError:
-        raise InputError(f"--true-kpa {words!r} is no list of moduli, E,E,… [kPa]") from None
+    values = [1e3 * one for one in floats_of(words, "--true-kpa", "100,200", count=0)]
     if len(values) != count or not all(value > 0 for value in values):
         raise InputError(
             f"--true-kpa has {len(values)} values for {count} readings; one above 0 kPa for each"

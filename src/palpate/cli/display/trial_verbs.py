@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer import Argument, Option
 
-from palpate.cli.verb_support import print_found, say
+from palpate.cli.verb_support import floats_of, print_found, print_record, say
 
 if TYPE_CHECKING:
     from palpate.psychophysics.experiments import (
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
         StimulusPresenter,
     )
 
+MODULI = "800,500,300,150,100"
 Folder = Annotated[Path, Argument(help="Folder of the experiment.")]
 
 
@@ -46,8 +47,9 @@ def new(
     """
     from palpate.psychophysics.experiments import make_experiment, make_schedule
 
+    moduli = None if moduli_kpa is None else floats_of(moduli_kpa, "--moduli-kpa", MODULI, count=0)
     chosen = secrets.randbelow(1 << 31) if seed is None else seed
-    design = make_experiment(folder, preset, chosen, _moduli(moduli_kpa))
+    design = make_experiment(folder, preset, chosen, moduli)
     answer = {
         "folder": str(folder),
         "preset": preset,
@@ -129,13 +131,7 @@ def export(
     from palpate.psychophysics.experiments import export_trials, read_design
 
     found = export_trials(read_design(folder), out, rehearsal)
-    text = (
-        f"{out}: {found.judgements} judgements of {len(found.participants)} participants, "
-        f"{len(found.complete)} of whom have answered all"
-    )
-    if found.simulated:
-        text += "\nsimulated: no measurement"
-    print_found(asdict(found) | {"folder": str(out)}, text)
+    print_record(asdict(found) | {"folder": str(out)})
 
 
 def analyze(
@@ -296,17 +292,6 @@ def _went(
 
 def _now() -> str:
     return datetime.now(UTC).isoformat(timespec="milliseconds")
-
-
-def _moduli(text: str | None) -> tuple[float, ...] | None:
-    from palpate.core import InputError
-
-    if text is None:
-        return None
-    try:
-        return tuple(float(one) for one in text.split(","))
-    except ValueError as e:
-        raise InputError(f"--moduli-kpa {text!r}; five numbers are needed, as in 800,500,300,150,100") from e
 
 
 def _levels_said(folder: Path, preset: str, given: bool) -> str:

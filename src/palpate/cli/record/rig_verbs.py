@@ -17,7 +17,14 @@ import typer
 from typer import Argument, Option
 
 import palpate
-from palpate.cli.verb_support import ENDING, group, print_found, progress_bar, stopped_by_signals
+from palpate.cli.verb_support import (
+    ENDING,
+    group,
+    print_found,
+    print_record,
+    progress_bar,
+    stopped_by_signals,
+)
 
 if TYPE_CHECKING:
     from palpate.devices.check.interface_check import CheckResult
@@ -266,12 +273,7 @@ def preview(
 
         draw_places(chosen, png)
         result["png"] = str(png)
-    text = (
-        f"{chosen.name}: {size.points} points, {size.presses} presses, {size.shots} shots, {size.frames} "
-        f"frames and {size.reference_frames} of the untouched skin; about {size.seconds / 60:.0f} min at "
-        f"{rate_hz:g} frames/s, {result['bytes'] / 1e9:.1f} GB at {FRAME_KB:g} kB a frame"
-    )
-    print_found(result, text)
+    print_record(result)
 
 
 def wrong_lines(wrong: list[CheckResult]) -> list[str]:
@@ -471,12 +473,7 @@ def zero(rig: RigName, position: PositionSource = None) -> None:
         found = zero_force(
             Hand(bench.need_stage(), bench.need_force(), bench.mounting, bench.clock), bench.limits
         )
-    x, y, z = found.force_n
-    text = (
-        f"{rig}: {x:.4f}, {y:.4f}, {z:.4f} N, the same over a lift of {found.lifted_mm:.1f} mm; noise "
-        f"{found.noise_n:.4f} N along the press, {found.rate_hz:.0f} samples/s"
-    )
-    print_found({"rig": rig, **asdict(found)}, text)
+    print_record({"rig": rig, **asdict(found)})
 
 
 @contextmanager

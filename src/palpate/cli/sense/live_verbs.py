@@ -16,11 +16,18 @@ from typing import TYPE_CHECKING, Annotated, Any, Protocol, runtime_checkable
 
 from typer import Argument, Exit, Option
 
-from palpate.cli.verb_support import as_json, is_quiet, numbers_of, say, signals_held, stopped_by_signals
+from palpate.cli.verb_support import (
+    as_json,
+    is_quiet,
+    numbers_of,
+    reading_words,
+    say,
+    signals_held,
+    stopped_by_signals,
+)
 from palpate.devices.long_running import loaded_kept
 
 if TYPE_CHECKING:
-    from palpate.core import MeasurementResult, Readings
     from palpate.recordings.exchange.reading_log import ReadingLog
     from palpate.sensing.live_loop import LiveReading
     from palpate.sensing.sensing_loop import Live
@@ -112,35 +119,6 @@ class LiveOutputs:
 
 def _counted(count: int, what: str) -> str:
     return f"{count} {what}" if count == 1 else f"{count} {what}s"
-
-
-BENCH_UNITS = {"m": "mm", "rad": "deg"}  # other units stay as the calibration has them
-
-
-def reading_words(readings: Readings) -> list[str]:
-    """Parts of a line: readings that have a value, and then those that have none, each reason once.
-
-    Example:
-        "x -11.541 mm ± 0.013 mm, inside the calibrated range", "y, rotation –: no contact"
-    """
-    told: list[str] = []
-    without: dict[str, list[str]] = {}
-    for one in readings.values():
-        if _has_value(one):
-            told.append(_in_bench_units(one))
-        else:
-            without.setdefault(one.verdict, []).append(one.quantity)
-    return told + [f"{', '.join(names)} –: {why}" for why, names in without.items()]
-
-
-def _has_value(reading: MeasurementResult) -> bool:
-    value = getattr(reading, "value", "")
-    return not math.isnan(value) if isinstance(value, float) else not isinstance(value, str) or bool(value)
-
-
-def _in_bench_units(reading: MeasurementResult) -> str:
-    shown = reading.in_unit(BENCH_UNITS[reading.unit]) if reading.unit in BENCH_UNITS else reading
-    return str(shown).replace(" ratio", "")
 
 
 TAKE_S = 0.02  # for a reading of one of several sensors
@@ -385,7 +363,7 @@ class ShownSensor:
         if (watch := self.watch) is not None:
             told["image"] = watch.status()
             if watch.looks != self._looks and watch.overlay is not None:
-                told["overlay"] = watch.overlay.to_dict()
+                told["overlay"] = watch.overlay
             self._looks = watch.looks
         return told
 

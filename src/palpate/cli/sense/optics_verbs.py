@@ -7,25 +7,23 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
+from typing import TYPE_CHECKING, Annotated, Literal, cast
 
 from typer import Argument, Option
 
-from palpate.cli.verb_support import as_json, numbers_of, print_found, progress_bar, say
+from palpate.cli.verb_support import as_json, floats_of, in_line, numbers_of, print_record, progress_bar, say
 from palpate.core import InputError
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from palpate.calibration.stress_optic_fit import Disc, FringeFit, Strip
+    from palpate.calibration.stress_optic_fit import Disc, Strip
     from palpate.estimators.fringe_light import Polariscope
     from palpate.estimators.fringe_map import ColourTable
-    from palpate.sensing.frame_readers import MappedFrame
     from palpate.sensing.frame_sources import FileFrames
 
 
@@ -55,24 +53,9 @@ def flow(
             frames, out, method=method, from_first=from_first, fields=fields,
             region_px=box, progress=tell,
         )  # fmt: skip
-    print_found(result, _flow_text(result))
-
-
-def _flow_text(result: Mapping[str, Any]) -> str:
-    place, flux = result["region"], f"{result['accumulated_border_flux']:.3g}"
-    text = (
-        f"{result['out']}: {result['steps']} steps by {result['method']}, mean speed "
-        f"{result['mean_speed_px']:.3g} px, "
-    )
-    if place["kind"] == "image":
-        return text + (
-            f"border flux of the image {flux}; no divergence of a contact, because the region is the whole "
-            "image: give --region X,Y,WIDTH,HEIGHT inside the contact"
-        )
-    return text + (
-        f"accumulated divergence {result['accumulated_divergence']:.3g} in the {place['kind']} region of "
-        f"{place['pixels']} px, border flux of the image {flux}"
-    )
+    if result["region"]["kind"] == "image":
+        result["note"] = "no divergence of a contact: give --region X,Y,WIDTH,HEIGHT inside it"
+    print_record(result)
 
 
 Tone = Annotated[str, Option(help="srgb, or linear where the numbers are light.")]
@@ -164,7 +147,7 @@ def fit_c(
         from palpate.reports.field_figures import write_figure
 
         write_figure(fit, out)
-    print_found(fit.to_dict(), _text(fit))
+    print_record(fit.to_dict())
 
 
 def _specimen(
@@ -178,11 +161,8 @@ def _specimen(
         seen = None if disc_px is None else cast("tuple[int, int, int]", numbers_of(disc_px, 3, "--disc-px"))
         turned = None if polariser_deg is None else math.radians(polariser_deg)
         return Disc(disc_mm * 1e-3, seen, turned)
-    try:
-        width, thickness = (float(part) * 1e-3 for part in str(strip_mm).split("x"))
-    except ValueError:
-        raise InputError(f"--strip-mm {strip_mm!r} is not WIDTHxTHICKNESS in mm, as in 20x6") from None
-    return Strip(width, thickness)
+    width, thickness = floats_of(str(strip_mm), "--strip-mm WIDTHxTHICKNESS", "20x6", "x")
+    return Strip(width * 1e-3, thickness * 1e-3)
 
 
 def _light(lamp: str, wavelength_nm: float, bandwidth_nm: float) -> Polariscope:
@@ -195,37 +175,8 @@ def _light(lamp: str, wavelength_nm: float, bandwidth_nm: float) -> Polariscope:
     return white_led() if lamp == "led" else tungsten()
 
 
-def _text(fit: FringeFit) -> str:
-    from palpate.estimators.fringe_order import RIVAL
-
-    C, half = fit.coefficient_per_pa, (fit.high_per_pa - fit.low_per_pa) / 2
-    lines = [
-        f"C = {C:.4g} 1/Pa ± {half:.2g} 1/Pa (95 %) at {fit.wavelength_m * 1e9:g} nm",
-        "of it " + ", ".join(f"{name} {part:.2g}" for name, part in fit.half_widths.items()),
-        f"{fit.orders_per_n:.4g} orders per N; residual order {fit.residual_order:.3f}",
-        f"R2 of order against load {fit.r_squared:.3f}; residual brightness {fit.rms:.1%} of its range",
-        f"searched to order {fit.settings['greatest_order']:g} at the greatest load",
-    ]
-    lines += [
-        f"also allowed: C = {r.coefficient_per_pa:.3g} 1/Pa, likelihood {r.likelihood:.2g} of the first: "
-        f"{r.why}; "
-        f"a photograph at {r.deciding_load_n:.4g} N would decide"
-        for r in fit.rivals
-        if r.likelihood > RIVAL
-    ]
-    lines += [f"not valid alone: {fit.code}"] if fit.code else []
-    lines += [
-        f"{name}: {load:.4g} N, order {order:.2f}, seen {seen:.2f} ({low:.2f} to {high:.2f})"
-        for name, load, order, seen, low, high in zip(
-            fit.images, fit.load_n, fit.order, fit.seen, fit.seen_low, fit.seen_high, strict=True
-        )
-    ]
-    return "\n".join([*lines, *(f"note: {remark}" for remark in fit.remarks)])
-
-
 LAMPS = ("led", "tungsten")
 SATURATED_CODE = 254
-MUCH = 3.0  # misfit over its freedom
 White = Annotated[Path | None, Option(help="Unloaded specimen between parallel polarisers, same exposure.")]
 
 
@@ -280,7 +231,7 @@ def fringe_order(
 
             files = stack.enter_context(OrderFiles(stack.enter_context(new_folder(out))))
         for done, one in enumerate(read_orders(source, reader, follow=not alone), 1):
-            say(json.dumps(one.to_dict(), allow_nan=False) if as_json() else _line(one))
+            say(json.dumps(one.to_dict(), allow_nan=False) if as_json() else in_line(one.to_dict()))
             if files is not None and one.found is not None:
                 files.add(one.index, one.name, one.frame.image, one.found)
             progress("frames", done, len(source))
@@ -322,7 +273,7 @@ def colour_table(
         )
     size = image.shape[:2]
     if line_px is not None:
-        ends = cast("tuple[float, float]", _floats(str(orders), 2, "--orders"))
+        ends = cast("tuple[float, float]", floats_of(str(orders), "--orders", "-3,3"))
         line = cast("tuple[float, float, float, float]", numbers_of(line_px, 4, "--line-px"))
         known = line_orders(size, line, ends, width_px)
     else:
@@ -343,11 +294,7 @@ def colour_table(
         "light_error": table.error,
         "pixels": int((known == known).sum()),
     }
-    text = (
-        f"{out}: colours of orders 0 to {table.greatest_order:.2f} from {result['pixels']} pixels, "
-        f"light told to {table.error:.2g}"
-    )
-    print_found(result, text)
+    print_record(result)
 
 
 def _table(calibration: str, max_order: float, colour_error: float) -> ColourTable:
@@ -399,33 +346,3 @@ def _tone(given: str) -> Literal["srgb", "linear"]:
     if given not in ("srgb", "linear"):
         raise InputError(f"--tone {given!r} is not srgb or linear")
     return cast("Literal['srgb', 'linear']", given)
-
-
-def _floats(text: str, count: int, what: str) -> tuple[float, ...]:
-    try:
-        numbers = tuple(float(part) for part in text.split(","))
-    except ValueError:
-        numbers = ()
-    if len(numbers) != count:
-        raise InputError(f"{what} {text!r} is not {count} numbers separated by commas")
-    return numbers
-
-
-def _line(one: MappedFrame) -> str:
-    if one.found is None:
-        return f"{one.name}: {one.reason}"
-    found: dict[str, Any] = one.found.summary()
-    text = f"{one.name}: {found['told_share']:.0%} told"
-    if found["order_median"] is not None:
-        text += (
-            f", order {found['order_median']:.3f} (median) to {found['order_greatest']:.3f}, standard "
-            f"deviation {found['sigma_median']:.2g}"
-        )
-    untold = {name: share for name, share in found["untold_shares"].items() if share >= 0.005}
-    if untold:
-        text += "; untold: " + ", ".join(f"{name} {share:.0%}" for name, share in untold.items())
-    if found["misfit_median"] is not None:
-        text += f"; misfit {found['misfit_median']:.2g} of noise"
-        if found["misfit_median"] > MUCH:
-            text += ": colours are not the calibration's, measure a table (colour-table)"
-    return f"{text}; {1e3 * one.latency_s:.0f} ms"

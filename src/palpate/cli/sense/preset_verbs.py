@@ -11,12 +11,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer import Argument, Option, Typer
 
-from palpate.cli.verb_support import Group, print_found, say
+from palpate.cli.verb_support import Group, print_found, record_text, say
 
 if TYPE_CHECKING:
     from palpate.rig.real.camera_listing import ListedCamera
     from palpate.sensors.owned import SensorPreset
-    from palpate.sensors.owned.sensor_preset import SourcedPart
 
 LIST = "list"
 
@@ -52,7 +51,8 @@ def list_presets(
 
     if sensor:
         shown = read_preset(sensor)
-        print_found(shown.model_dump(mode="json"), _text(shown))
+        known = shown.model_dump(mode="json", exclude_none=True)
+        print_found(shown.model_dump(mode="json"), record_text(known))
         return
     presets = [sensor_preset(name) for name in preset_names()]
     rows = [(preset.name, preset.title, preset.kind, _recognised_by(preset)) for preset in presets]
@@ -78,59 +78,6 @@ def new(file: Annotated[Path, Argument(help="TOML file to begin; must not exist.
 def _recognised_by(preset: SensorPreset) -> str:
     names = [f'"{name}"' for name in preset.camera.names]
     return ", ".join([*names, *preset.camera.usb]) or "its camera is chosen by whoever builds it"
-
-
-def _text(preset: SensorPreset) -> str:
-    lines = [f"{preset.name}: {preset.title} ({preset.kind})", preset.about, ""]
-    lines.append(_line("camera", _recognised_by(preset), preset.camera))
-    for mode in preset.camera.modes:
-        rates = ", ".join(f"{rate:g}" for rate in mode.rates_hz)
-        size = f"{mode.size_px[0]} x {mode.size_px[1]} px at {rates} Hz {mode.format}".rstrip()
-        lines.append(_line("frames", size, mode))
-    lines.append(_line("settings", _settings(preset), preset.camera.settings))
-    lines.append(_line("skin", _skin(preset), preset.skin))
-    marks = preset.marks
-    counted = "" if marks.count is None else f", {marks.count} of them"
-    lines.append(_line("marks", f"{marks.kind}{counted}", marks))
-    lines += [_line(fact.what, fact.value, fact) for fact in preset.facts]
-    cited = [f"  [{name}] {source.what}: {source.address}" for name, source in preset.sources.items()]
-    return "\n".join([*lines, *(["", "sources", *cited] if cited else [])])
-
-
-def _line(what: str, value: str, part: SourcedPart) -> str:
-    told = f"[{part.source}]" if part.source else "[assumed]"
-    return "\n".join([f"{what}: {value} {told}", *([f"  {part.note}"] if part.note else [])])
-
-
-SWITCHES = {"auto_exposure": "automatic exposure", "auto_white_balance": "automatic white balance",
-            "auto_focus": "autofocus"}  # fmt: skip
-AMOUNTS = {
-    "exposure_ms": "exposure {:g} ms",
-    "white_balance_kelvin": "white balance {:g} K",
-    "gain": "gain {:g}",
-}
-
-
-def _settings(preset: SensorPreset) -> str:
-    settings: dict[str, Any] = preset.camera.settings.model_dump()
-    switches = [
-        f"{what} {'on' if settings[name] else 'off'}"
-        for name, what in SWITCHES.items()
-        if settings[name] is not None
-    ]
-    amounts = [what.format(settings[name]) for name, what in AMOUNTS.items() if settings[name] is not None]
-    return ", ".join([*switches, *amounts]) or "none are published"
-
-
-def _skin(preset: SensorPreset) -> str:
-    skin, told = preset.skin, []
-    if skin.region_share is not None:
-        told.append("region " + ", ".join(f"{100 * share:.1f} %" for share in skin.region_share))
-    if skin.region_mm is not None:
-        told.append(f"which shows {skin.region_mm[0]:.4g} x {skin.region_mm[1]:.4g} mm")
-    if skin.size_mm is not None:
-        told.append(f"gel {skin.size_mm[0]:g} x {skin.size_mm[1]:g} mm")
-    return ", ".join(told) or "no region and no scale are published"
 
 
 def cameras(

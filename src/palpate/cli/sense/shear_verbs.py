@@ -1,4 +1,4 @@
-"""The verb of shear: read touch on a patterned skin from its marks, frame by frame."""
+"""Verbs of patterned skins: read touch by marks, calibrate their normal force, weigh another pad."""
 
 from __future__ import annotations
 
@@ -10,18 +10,15 @@ from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, Option
 
-from palpate.cli.verb_support import as_json, progress_bar, say
-from palpate.core import Frame, InputError, Lens, Readings, new_folder, refuse_existing
+from palpate.cli.verb_support import as_json, print_record, progress_bar, reading_words, say
+from palpate.core import Frame, InputError, Lens, new_folder, refuse_existing
 from palpate.core.sensor import sensor as find_sensor
+from palpate.estimators.unit_fit import GRAVITY_M_S2
 
 if TYPE_CHECKING:
     from palpate.estimators.shear import ShearReader, TiledSkin
     from palpate.reports.shear_page import ShearPage
     from palpate.sensing.frame_readers import TouchedFrame
-
-HEAD = ("frame", "contacts", "x", "y", "edge", "gamma", "seen", "notes")
-FLAGS = ("slip", "damage")
-ROW = "{:<16} {:>8} {:>18} {:>18} {:>14} {:>8} {:>6}  {}"
 
 
 def shear(
@@ -65,10 +62,8 @@ def shear(
         folder = stack.enter_context(new_folder(fields)) if fields else None
         progress = stack.enter_context(progress_bar())
         page = _page(source, reader, untouched) if html else None
-        if not as_json():
-            say(ROW.format(*HEAD).rstrip())
         for count, seen in enumerate(read_touches(frames, reader, force), 1):
-            say(json.dumps(seen.to_dict(), allow_nan=False) if as_json() else _row(seen))
+            say(json.dumps(seen.to_dict(), allow_nan=False) if as_json() else _line(seen))
             if folder:
                 write_fields(folder, seen)
             if page:
@@ -106,31 +101,62 @@ def _tiled(name: str) -> TiledSkin:
     return describe()
 
 
-def _row(seen: TouchedFrame) -> str:
-    """A line of the table."""
+def _line(seen: TouchedFrame) -> str:
     if seen.touch is None:
-        return ROW.format(seen.name[-16:], *["-"] * 6, seen.reason)
-    readings = seen.touch.readings
-    contacts, gamma, share = readings["contacts"], readings["gamma_ratio"], readings["seen_ratio"]
-    force = [_in_words(readings, "force")] if "force_N" in readings else []
-    notes = [f"{flag}: yes" for flag in FLAGS if readings[flag].value == "yes"]
-    return ROW.format(
-        seen.name[-16:],
-        contacts.value or "-",
-        *(_in_words(readings, axis) for axis in "xy"),
-        _in_words(readings, "edge"),
-        f"{gamma.value:.3f}" if gamma.valid else "-",
-        f"{100 * share.value:.0f} %",
-        "; ".join(filter(None, [*force, *notes, seen.touch.reason])),
-    ).rstrip()
+        return f"{seen.name}: {seen.reason}"
+    return f"{seen.name}: {'; '.join(reading_words(seen.touch.readings))}"
 
 
-def _in_words(readings: Readings, quantity: str) -> str:
-    """A reading with half its interval, in mm, px or degrees; a dash where it is not valid."""
-    one = readings[quantity]
-    if not one.valid:
-        return "-"
-    shown = one.in_unit({"m": "mm", "rad": "deg"}.get(one.unit, one.unit))
-    half = (shown.high - shown.low) / 2
-    value = shown.value % shown.period if quantity == "edge" else shown.value
-    return f"{value:.2f} ± {half:.2f} {shown.unit}"
+N_PER_G = 1e-3 * GRAVITY_M_S2
+NewFile = Annotated[Path, Option(help="Calibration to make, an .npz; must not exist.")]
+
+
+def fit(
+    runs: Annotated[list[Path], Argument(help="Runs of one pad, with force, presses and reference frames.")],
+    out: NewFile,
+    sensor: Annotated[str, Option(help="Sensor with the pattern; default: as the first run says.")] = "",
+    law: Annotated[str, Option(help="any-tip, placed (one tip), or published (gamma alone).")] = "any-tip",
+    hysteresis: Annotated[bool, Option("--hysteresis", help="Fit the skin's memory too.")] = False,
+    coverage: Annotated[float, Option(help="Of the intervals.")] = 0.90,
+    note: Annotated[str, Option(help="Free words to keep with it.")] = "",
+) -> None:
+    """Fit a calibration of normal force to runs.
+
+    Errors and intervals are of presses that were held out.
+
+    Example: palpate calibrate --method shear-force run --out pad.npz --hysteresis
+    """
+    from palpate.calibration.shear import calibrate_runs
+
+    with progress_bar() as progress:
+        record = calibrate_runs(
+            runs, out, sensor=sensor, law=law, hysteresis=hysteresis,
+            coverage=coverage, note=note, progress=progress,
+        )  # fmt: skip
+    print_record(record)
+
+
+def weigh(
+    loaded: Annotated[Path, Argument(help="This pad with the weight on it: folder of images, video or run.")],
+    calibration: Annotated[Path, Option("--with", help="Calibration (.npz) of a pad of the same make.")],
+    reference: Annotated[Path, Option(help="This pad at rest: the same.")],
+    mass_g: Annotated[float, Option(help="Mass of the weight, within the calibrated range [g].")],
+    out: NewFile,
+    error_g: Annotated[float, Option(help="Standard error of the mass [g].")] = 0.0,
+    lays: Annotated[int, Option(help="How often it was laid on, each time at another place.")] = 1,
+) -> None:
+    """Take a calibration to another copy by a known weight.
+
+    An image tells no stiffness; one weight does.
+
+    Example: palpate check-weight on --with pad.npz --reference rest --mass-g 500 --out copy.npz
+    """
+    from palpate.calibration.shear import weigh_copy
+    from palpate.recordings.exchange.frame_sequences import open_sequence
+
+    with open_sequence(reference) as rest, open_sequence(loaded) as on:
+        record = weigh_copy(
+            calibration, out, untouched=list(rest), loaded=list(on),
+            weight_n=N_PER_G * mass_g, weight_error_n=N_PER_G * error_g, lays=lays,
+        )  # fmt: skip
+    print_record(record)

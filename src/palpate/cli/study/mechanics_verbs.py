@@ -8,7 +8,7 @@ from typing import Annotated
 
 from typer import Option
 
-from palpate.cli.verb_support import print_found
+from palpate.cli.verb_support import print_record
 from palpate.core import InputError
 
 Answer = dict[str, object]
@@ -37,12 +37,15 @@ def hertz(
     d = _depth(depth_mm, force_n, lambda F: law.depth_from_force(F, R, *skin))
     a, p0 = law.contact_radius(d, R), law.peak_pressure(d, R, *skin)
     shear, z = law.greatest_shear(poisson)
-    more = {
-        "peak_pressure_kPa": p0 / 1e3,
-        "greatest_shear_kPa": shear * p0 / 1e3,
-        "greatest_shear_depth_mm": z * a * 1e3,
-    }
-    _print(law.force_from_depth(d, R, *skin), d, a, more, law.MODEL)
+    print_record(
+        _scalars(law.force_from_depth(d, R, *skin), d, a)
+        | {
+            "peak_pressure_kPa": p0 / 1e3,
+            "greatest_shear_kPa": shear * p0 / 1e3,
+            "greatest_shear_depth_mm": z * a * 1e3,
+            "law": law.MODEL,
+        }
+    )
 
 
 def sphere(
@@ -64,8 +67,10 @@ def sphere(
     d = _depth(depth_mm, force_n, lambda F: law.sphere_depth_from_force(F, R, *skin))
     a = law.sphere_radius_from_depth(d, R)
     p0 = float(law.sphere_pressure(np.zeros(1), a, R, *skin)[0])
-    force = law.sphere_force_from_radius(a, R, *skin)
-    _print(force, d, a, {"peak_pressure_kPa": p0 / 1e3}, law.MODEL.format(shape="sphere"))
+    print_record(
+        _scalars(law.sphere_force_from_radius(a, R, *skin), d, a)
+        | {"peak_pressure_kPa": p0 / 1e3, "law": law.MODEL.format(shape="sphere")}
+    )
 
 
 def punch(
@@ -83,7 +88,11 @@ def punch(
 
     R, skin = radius_mm / 1e3, (modulus_kpa * 1e3, poisson)
     d = _depth(depth_mm, force_n, lambda F: law.punch_depth(F, R, *skin))
-    _print_mean(law.punch_force(d, R, *skin), d, R, "flat punch")
+    F = law.punch_force(d, R, *skin)
+    print_record(
+        _scalars(F, d, R)
+        | {"mean_pressure_kPa": F / (math.pi * R**2) / 1e3, "law": law.MODEL.format(shape="flat punch")}
+    )
 
 
 def cone(
@@ -101,7 +110,9 @@ def cone(
 
     alpha, skin = math.radians(half_angle_deg), (modulus_kpa * 1e3, poisson)
     d = _depth(depth_mm, force_n, lambda F: law.cone_depth(F, alpha, *skin))
-    _print_mean(law.cone_force(d, alpha, *skin), d, law.cone_radius(d, alpha), "cone")
+    a, F = law.cone_radius(d, alpha), law.cone_force(d, alpha, *skin)
+    mean = F / (math.pi * a**2) if a else 0.0
+    print_record(_scalars(F, d, a) | {"mean_pressure_kPa": mean / 1e3, "law": law.MODEL.format(shape="cone")})
 
 
 def layer(
@@ -123,7 +134,7 @@ def layer(
     if base not in ("bonded", "sliding"):
         raise InputError(f"base {base!r} is not known; the layer's base is 'bonded' or 'sliding'")
     on: law.Base = "bonded" if base == "bonded" else "sliding"
-    _print_answer(
+    print_record(
         {
             "force_N": law.sphere_force(d, R, h, *skin, on),
             "depth_mm": depth_mm,
@@ -139,22 +150,5 @@ def _depth(depth_mm: float | None, force_n: float | None, of_force: Callable[[fl
     return depth_mm / 1e3 if depth_mm is not None else of_force(force_n or 0.0)
 
 
-def _print_mean(force_n: float, depth_m: float, radius_m: float, shape: str) -> None:
-    """Print a press whose peak pressure is infinite, by its mean pressure."""
-    from palpate.mechanics.half_space.sneddon import MODEL
-
-    mean = force_n / (math.pi * radius_m**2) if radius_m else 0.0
-    _print(force_n, depth_m, radius_m, {"mean_pressure_kPa": mean / 1e3}, MODEL.format(shape=shape))
-
-
-def _print(force_n: float, depth_m: float, radius_m: float, more: dict[str, float], law: str) -> None:
-    scalars = {"force_N": force_n, "depth_mm": depth_m * 1e3, "contact_radius_mm": radius_m * 1e3}
-    _print_answer({**scalars, **more, "law": law})
-
-
-def _print_answer(answer: Answer) -> None:
-    print_found(answer, "\n".join(f"{name} = {_text(value)}" for name, value in answer.items()))
-
-
-def _text(value: object) -> str:
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+def _scalars(force_n: float, depth_m: float, radius_m: float) -> Answer:
+    return {"force_N": force_n, "depth_mm": depth_m * 1e3, "contact_radius_mm": radius_m * 1e3}

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Argument, Option
 
 import palpate
-from palpate.cli.verb_support import print_found, progress_bar
+from palpate.cli.verb_support import floats_of, print_record, progress_bar
 
 if TYPE_CHECKING:
     from palpate.recordings.exchange.press_folder import PressFolder
@@ -68,19 +68,14 @@ def palm(
     import numpy as np
 
     from palpate.core.contact import Pose
-    from palpate.core.errors import InputError
-    from palpate.core.files import new_file
+    from palpate.core.files import new_file, refuse_existing
     from palpate.recordings.exchange import image_files
     from palpate.sensors import palm as palms
 
+    refuse_existing(out)
     sensor = palpate.sensor("palm" if preset == "palm" else f"palm-{preset}")
     spec, probe = sensor.spec, sensor.probe(indenter)
-    try:
-        lateral = tuple(float(part) for part in lateral_n.split(","))
-    except ValueError:
-        lateral = ()
-    if len(lateral) != 2:
-        raise InputError(f"--lateral-n {lateral_n!r} is not two numbers of newtons, X,Y")
+    aside_n, along_n = floats_of(lateral_n, "--lateral-n X,Y", "1.5,0")
     if probe.shape == "sphere":
         fitted = replace(spec, indenter_radius_m=probe.radius_m)
         spec = fitted if palms.has_table(fitted) else spec  # otherwise linear layers press it
@@ -94,12 +89,12 @@ def palm(
         opaque_underside=opaque_underside,
     )
     pose = Pose(x_mm * 1e-3, y_mm * 1e-3, depth_mm * 1e-3)
-    contact = palms.press(spec, pose, probe, lateral)
+    contact = palms.press(spec, pose, probe, (aside_n, along_n))
     frame = palms.render(contact, spec, np.random.default_rng(seed), exact=None)
     result: dict[str, Any] = palms.contact_summary(contact, spec) | {"out": str(out)}
     with new_file(out) as path:
         path.write_bytes(image_files.encode(frame.image).tobytes())
-    print_found(result, "\n".join(f"{name}: {_shown(value)}" for name, value in result.items()))
+    print_record(result)
 
 
 def tactip(
@@ -187,8 +182,7 @@ def tactip(
             late_s=1e-3 * late_ms, hold_s=hold_s, rig=drive, progress=progress,
         )  # fmt: skip
     laws = {name: TacTip(spec).on(words).law for name, words in pressed.items()}
-    result, text = _trials_text(folder, bodies, tilt_deg, runs, laws)
-    print_found(result, text)
+    print_record(_trials_record(folder, bodies, tilt_deg, runs, laws))
 
 
 def _bodies(pairs: list[str], rigid: bool) -> dict[str, float | str]:
@@ -213,18 +207,16 @@ def _bodies(pairs: list[str], rigid: bool) -> dict[str, float | str]:
     return bodies
 
 
-def _trials_text(
+def _trials_record(
     folder: PressFolder,
     bodies: Mapping[str, float | str],
     tilt_deg: float,
     runs: bool,
     laws: Mapping[str, str],
-) -> tuple[dict[str, Any], str]:
-    """Result as values and as text."""
-    from palpate.workflows.tactip_trials import TRUTH, stiffness_shown
+) -> dict[str, Any]:
+    from palpate.workflows.tactip_trials import stiffness_shown
 
     presses = sum(len(one.presses) for one in folder.specimens)
-    shown = {name: stiffness_shown(k) for name, k in bodies.items() if not isinstance(k, str)}
     shaped = {name: k for name, k in bodies.items() if isinstance(k, str)}
     result = {
         "out": str(folder.path),
@@ -232,21 +224,12 @@ def _trials_text(
         "presses": presses,
         "runs": presses if runs else 0,
         "tilt_deg": tilt_deg,
-        "stiffness_N_per_mm": shown,
+        "stiffness_N_per_mm": {
+            name: stiffness_shown(k) for name, k in bodies.items() if not isinstance(k, str)
+        },
         "model": dict(laws),
     }
-    result |= {"shaped": shaped} if shaped else {}
-    what = "press" if presses == 1 else "presses"
-    lines = [
-        f"{folder.path}: {presses} virtual {what} at {tilt_deg:g} degrees, not measured",
-        *(
-            f"  {name}: {'a rigid plate' if k == 'inf' else f'{k:.4g} N/mm'}, {laws[name]}"
-            for name, k in shown.items()
-        ),
-        *(f"  {name}: {words}, {laws[name]}" for name, words in shaped.items()),
-        f"  a press is a TIFF and a table{' and a run' if runs else ''}; the truth behind them: {TRUTH}",
-    ]
-    return result, "\n".join(lines)
+    return result | {"shaped": shaped} if shaped else result
 
 
 def _wear(presses: float, haze: float | None, scratches: int | None, yellowing: float) -> Wear:
@@ -256,7 +239,3 @@ def _wear(presses: float, haze: float | None, scratches: int | None, yellowing: 
     wear = replace(worn(presses), yellowing=yellowing)
     wear = wear if haze is None else replace(wear, haze=haze)
     return wear if scratches is None else replace(wear, scratches=scratches)
-
-
-def _shown(value: object) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -12,21 +12,18 @@ stage.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pandas as pd
 
 from palpate.core import (
     NS_PER_S,
-    Float,
-    Image,
     ImageError,
     InputError,
     LabelError,
@@ -34,7 +31,6 @@ from palpate.core import (
     PathText,
     ProgressCount,
     UnitError,
-    Values,
     has_unit,
     new_folder,
     refuse_existing,
@@ -57,78 +53,6 @@ from palpate.recordings.manifest import MANIFEST, Manifest
 from palpate.recordings.run_reader import NAME_COLUMN
 from palpate.recordings.run_writer import RunWriter
 from palpate.recordings.splits import CONVENTIONAL_GROUPS
-
-THUMBNAIL_PX = 16
-MAX_SHIFT = 5
-MIN_ROWS = 60
-MIN_GAIN, GAIN_BY_CHANCE = 0.1, 2.5
-"""Share of the labels' changes that the best shift explains beyond what no shift does, at least; and what
-chance may add to it, times the root of the rows (of 4,000 recordings without a shift none came so far)."""
-_COMPONENTS = 12
-_BLOCKS = 8
-
-
-def small_picture(image: Image) -> Float[np.ndarray, " k"]:
-    """Area means of an image in grey, as one row of numbers."""
-    grey = image if image.ndim == 2 else image.mean(axis=2)
-    size = (min(THUMBNAIL_PX, grey.shape[1]), min(THUMBNAIL_PX, grey.shape[0]))
-    return cv2.resize(grey.astype(np.float32), size, interpolation=cv2.INTER_AREA).astype(float).ravel()
-
-
-def explained_by_shift(pictures: Float[np.ndarray, "n k"], labels: Values) -> dict[int, float]:
-    """Return shift -> best out-of-sample fraction of label changes that the picture changes explain.
-
-    Args:
-        labels: ``[n t]``; at shift ``s`` row ``i + s`` belongs to image ``i``.
-    """
-    change = np.diff(pictures, axis=0)
-    change = change - change.mean(axis=0)
-    _, size, axes = np.linalg.svd(change, full_matrices=False)
-    kept = axes[: min(_COMPONENTS, int((size > 1e-9 * size[0]).sum()))] if size[0] > 0 else axes[:0]
-    seen, moved = change @ kept.T, np.diff(labels, axis=0)
-    shares = {}
-    for shift in range(-MAX_SHIFT, MAX_SHIFT + 1):
-        begin, end = max(0, -shift), len(seen) - max(0, shift)
-        shares[shift] = _share(seen[begin:end], moved[begin + shift : end + shift])
-    return shares
-
-
-def _share(seen: np.ndarray, moved: np.ndarray) -> float:
-    """Largest share of variance over the labels, each half of the blocks predicted from the other."""
-    half = np.arange(len(seen)) * _BLOCKS // len(seen) % 2
-    error, total = np.zeros(moved.shape[1]), np.zeros(moved.shape[1])
-    for k in (0, 1):
-        fitted, scored = half != k, half == k
-        terms = np.column_stack([np.ones(len(seen)), seen])
-        weights = np.linalg.lstsq(terms[fitted], moved[fitted], rcond=None)[0]
-        error += np.sum((moved[scored] - terms[scored] @ weights) ** 2, axis=0)
-        total += np.sum((moved[scored] - moved[fitted].mean(axis=0)) ** 2, axis=0)
-    return float(np.max(1 - error / np.where(total > 0, total, np.inf), where=total > 0, initial=0.0))
-
-
-def shift_doubt(pictures: Iterable[np.ndarray], labels: Values) -> str:
-    """A sentence where the rows seem shifted against the images; empty where not, or where rows are few.
-
-    Args:
-        pictures: of the images in their order, see `small_picture`.
-        labels: ``[n t]`` numbers of the rows in their order.
-    """
-    rows = np.stack(list(pictures))
-    if len(rows) < MIN_ROWS or not labels.shape[1]:
-        return ""
-    shares = explained_by_shift(rows, labels)
-    if not np.isfinite(list(shares.values())).all():  # numbers too large to be squared
-        return ""
-    best = max(shares, key=lambda shift: shares[shift])
-    if best == 0 or shares[best] - max(shares[0], 0.0) < MIN_GAIN + GAIN_BY_CHANCE / len(rows) ** 0.5:
-        return ""
-    beside = f"row i + {best}" if best > 0 else f"row i - {-best}"
-    return (
-        f"labels and images look shifted against each other: with {beside} beside image i the pictures "
-        f"explain {100 * shares[best]:.0f} % of a label's changes, as they stand {100 * shares[0]:.0f} %; "
-        "check the order before you calibrate"
-    )
-
 
 _GROUP_NAMES = frozenset(name for columns in CONVENTIONAL_GROUPS for name in columns) | {"session"}
 
@@ -232,19 +156,15 @@ def import_images(
             "depth=mm (a dimensionless one is a ratio), or import without strict and use them as groups only",
             code="unit-missing",
         )
-    pictures, digests = [], []
-    for done, image in enumerate(_same_kind(found.paths), start=1):
-        pictures.append(small_picture(image))
-        digests.append(sha256(image.tobytes()).digest())
-        _tell(progress, done, 2 * len(found.paths))
     about = {"sensor": sensor, "rig": rig, "licence": licence, "origin": origin}
     by_name = name_pattern is not None and not timed and order_by is None
+    digests: list[bytes] = []
     with whole_run(run, _manifest(about, provenance, exported, kept, timed, by_name)) as writer:
         for i, image in enumerate(_same_kind(found.paths)):
+            digests.append(sha256(image.tobytes()).digest())
             writer.frame(image, time_ns=int(times_ns[i]), labels=_row(kept, i))
-            _tell(progress, len(found.paths) + i + 1, 2 * len(found.paths))
-    shifted = [] if name_pattern is not None else _shift(pictures, kept)  # a name is its image's own
-    return _report(kept, (*unit_doubts(kept), *shifted, *_two_labels(digests, found.names, kept)))
+            _tell(progress, i + 1, len(found.paths))
+    return _report(kept, (*unit_doubts(kept), *_two_labels(digests, found.names, kept)))
 
 
 def _two_labels(digests: Sequence[bytes], names: Sequence[str], kept: pd.DataFrame) -> list[str]:
@@ -294,14 +214,6 @@ def _found(folder: Path, layout: LabelLayout) -> tuple[LabelledImages, Manifest 
         return found, None
     exported = Manifest.read(folder)  # says what CSV cannot, such as that 007 is a text
     return find_labelled_images(folder, layout, exported.labels), exported
-
-
-def _shift(pictures: Sequence[np.ndarray], kept: pd.DataFrame) -> list[str]:
-    """What the order of the rows gives to doubt."""
-    numbers = [name for name, kind in label_kinds(kept).items() if kind == "number" and has_unit(name)]
-    changing = [name for name in numbers if kept[name].nunique() > 1]
-    text = shift_doubt(pictures, kept[changing].to_numpy(np.float64))
-    return [text] if text else []
 
 
 def _manifest(

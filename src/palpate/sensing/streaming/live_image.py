@@ -11,12 +11,10 @@ from palpate.core.reading import plain_number
 from palpate.sensing.image_health import image_health
 from palpate.sensing.live_loop import LiveLoop
 from palpate.sensing.streaming.source_views import view_of_source
-from palpate.sensing.untouched_view import UntouchedView
-from palpate.sensing.view_overlay import FrameOverlay, overlay_of
+from palpate.sensing.untouched_view import UntouchedView, overlay_of
 from palpate.sensors.owned import SensorPreset
 
 LOOK_S = 0.2  # between two looks; the health of a picture does not change faster
-ASSUMED_HZ = 30.0  # where a rate is not known yet
 BRIGHT = 251  # grey levels from which a pixel is clipped
 
 
@@ -32,7 +30,7 @@ class ImageWatch:
 
     def __init__(self, loop: LiveLoop, preset: SensorPreset | None = None) -> None:
         self._loop, self.preset = loop, preset
-        self.overlay: FrameOverlay | None = None
+        self.overlay: dict[str, Any] | None = None
         self.looks = 0
         self._frames: tuple[Image, ...] = ()
         self._view: UntouchedView | None = None
@@ -66,11 +64,10 @@ class ImageWatch:
         self._frames, self._view, self._health, self.overlay = frames, None, {}, None
         if not frames:
             return
-        rate_hz = self._loop.untouched_rate_hz or ASSUMED_HZ
         try:
             design = getattr(getattr(self._loop.source, "hand", None), "design", None)
             self._view = view_of_source(frames, self.preset, design)
-            self._health = image_health(frames, rate_hz).to_dict()
+            self._health = image_health(frames).to_dict()
         except InputError as e:
             self._health = {"advice": [str(e)]}
 

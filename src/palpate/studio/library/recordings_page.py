@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
@@ -38,12 +37,12 @@ from palpate.studio.page_shell import (
     text_of,
 )
 from palpate.studio.status_text import duration, number
-from palpate.studio.svg_drawing import nice_step
+from palpate.studio.svg_drawing import LEFT, RIGHT, TOP, Plot, round_numbers, with_room
 
-WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM = 640, 190, 52, 12, 14, 28
+WIDTH = 640
 MAX_BINS = 500
 """Stretches of a curve that are drawn, each from its least to its greatest, so that no peak is lost."""
-INK, SOFT, LINE, ACCENT, WARN = map(paint, ("ink", "soft", "line", "accent", "warn"))
+INK, LINE, ACCENT, WARN = map(paint, ("ink", "line", "accent", "warn"))
 ROW, MAX_FOLDS = 13, 20
 Samples = Float[np.ndarray, " n"]
 
@@ -91,48 +90,26 @@ def curve_svg(curve: RecordedCurve | None, notes: Sequence[RunNote] = ()) -> str
     if curve is None:
         return '<p class="empty">This run holds no force and no number in its labels that could be drawn.</p>'
     times_s, values = _binned(curve)
-    low, high = _range(values)
-    step = nice_step((high - low) / 4)
-    digits = max(0, -math.floor(math.log10(step) + 1e-9))
-
-    def across(time_s: float) -> float:
-        return LEFT + min(max(time_s / curve.whole_s, 0.0), 1.0) * (WIDTH - LEFT - RIGHT)
-
-    def down(value: float) -> float:
-        return TOP + (high - value) / (high - low) * (HEIGHT - TOP - BOTTOM)
-
-    said = f"{number(float(values.min()), 2)} to {number(float(values.max()), 2)} {curve.unit}"
-    deep = HEIGHT - TOP - BOTTOM
-    begin = (
-        f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" data-left="{LEFT}" data-right="{WIDTH - RIGHT}" '
-        f'data-whole="{curve.whole_s:.6f}"><title>{escape(curve.name)} over the run</title>'
-        f"<desc>{escape(said)} over {curve.whole_s:.1f} s; {len(notes)} notes</desc>"
+    ticks = [(t, f"{t:g} s") for t in round_numbers(0.0, curve.whole_s)]
+    name = f"{curve.name} [{curve.unit}]" if curve.unit else curve.name
+    y = with_room(values.tolist(), 1e-3)
+    plot = Plot((WIDTH, 190), (0.0, curve.whole_s), y, y_name=name, x_ticks=ticks)
+    deep = plot.bottom - TOP
+    plot.parts.append(
         f'<rect x="{LEFT}" y="{TOP}" width="{WIDTH - LEFT - RIGHT}" height="{deep}" fill="transparent"/>'
     )
-    parts = [begin]
-    for i in range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1):
-        y = down(i * step)
-        parts.append(
-            f'<path d="M{LEFT} {y:.1f}H{WIDTH - RIGHT}" stroke="{SOFT if i == 0 else LINE}"/>'
-            f'<text x="{LEFT - 7}" y="{y + 4:.1f}" text-anchor="end">{number(i * step, digits)}</text>'
-        )
-    tick = nice_step(curve.whole_s / 5)
-    for i in range(math.floor(curve.whole_s / tick + 1e-9) + 1):
-        x = across(i * tick)
-        anchor = "end" if x > WIDTH - RIGHT - 20 else "middle"
-        parts.append(f'<text x="{x:.1f}" y="{HEIGHT - 9}" text-anchor="{anchor}">{i * tick:g} s</text>')
-    unit = f"{curve.name} [{curve.unit}]" if curve.unit else curve.name
-    parts.append(f'<text x="{LEFT + 5}" y="{TOP + 10}" class="unit">{escape(unit)}</text>')
-    points = " ".join(f"{across(t):.1f},{down(v):.1f}" for t, v in zip(times_s, values, strict=True))
-    parts.append(f'<polyline points="{points}" fill="none" stroke="{ACCENT}" stroke-width="1.6"/>')
+    plot.line(zip(times_s.tolist(), values.tolist(), strict=True), ACCENT)
     for note in notes:
-        x = across(note.time_s)
-        parts.append(
+        x = plot.at(note.time_s, 0.0)[0]
+        plot.parts.append(
             f'<g><title>{escape(note.text)}</title><path d="M{x:.1f} {TOP}v{deep}" stroke="{WARN}" '
             f'stroke-dasharray="2 3"/><path d="M{x - 5:.1f} {TOP}h10l-5 8z" fill="{WARN}"/></g>'
         )
-    line = f'<path class="cursor" d="M{LEFT} {TOP}v{deep}" stroke="{INK}" stroke-width="1.6"/>'
-    return "".join([*parts, line, "</svg>"])
+    plot.parts.append(f'<path class="cursor" d="M{LEFT} {TOP}v{deep}" stroke="{INK}" stroke-width="1.6"/>')
+    said = f"{number(float(values.min()), 2)} to {number(float(values.max()), 2)} {curve.unit}"
+    words = f"{said} over {curve.whole_s:.1f} s; {len(notes)} notes"
+    where = f' data-left="{LEFT}" data-right="{WIDTH - RIGHT}" data-whole="{curve.whole_s:.6f}"'
+    return plot.svg(f"{curve.name} over the run", words, where)
 
 
 def split_svg(found: Split, frames: int) -> str:
@@ -185,12 +162,6 @@ def _binned(curve: RecordedCurve) -> tuple[Samples, Samples]:
     edges = np.linspace(0, len(times_s), MAX_BINS + 1).astype(int)[:-1]
     both = np.stack([np.minimum.reduceat(values, edges), np.maximum.reduceat(values, edges)], axis=1)
     return np.repeat(times_s[edges], 2), both.reshape(-1)
-
-
-def _range(values: Samples) -> tuple[float, float]:
-    low, high = float(min(values.min(), 0.0)), float(max(values.max(), 0.0))
-    span = max(high - low, 1e-3)
-    return low - 0.05 * span, high + 0.12 * span  # room for the name
 
 
 def _stretches(rows: np.ndarray) -> list[tuple[int, int]]:

@@ -11,9 +11,8 @@ from typing import Any
 from palpate.studio.live.live_desk import SPAN_S, LiveSample
 from palpate.studio.page_shell import paint
 from palpate.studio.status_text import number
-from palpate.studio.svg_drawing import BOX, nice_step
+from palpate.studio.svg_drawing import BOX, last_seconds
 
-WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM = 560, 180, 50, 10, 14, 26
 MIN_ARROWS = 4  # of marks, whose mean is a motion
 MOTION_TIMES = 3.0  # by which that mean is drawn longer
 FULL_SHEAR = 0.1  # that is drawn as large as a dot can be, where nothing is greater
@@ -37,82 +36,29 @@ def reading_svg(samples: Sequence[LiveSample], column: str, unit: str, now_s: fl
         one[key] for _, one in told if one["valid"] for key in ("low", "high") if one.get(key) is not None
     ]
     values = [one["value"] for _, one in told] + [f for _, f in force] + ends
-    axes = _LiveAxes(values, now_s)
+    name = name or column.removesuffix(f"_{unit}")
+    shown = f"{name} [{unit}]" if unit not in ("", "ratio") else name
+    plot = last_seconds((560, 180), values, shown + ("; dashed: the sensor beside" if force else ""))
     for valid, group in groupby(told, key=lambda one: bool(one[1]["valid"])):
         part = list(group)
         if not valid:
-            axes.crosses([(at, one["value"]) for at, one in part])
+            seen = part[:: max(1, len(part) // 150)]
+            plot.crosses([(at - now_s, one["value"]) for at, one in seen], BAD)
             continue
         for stretch in _stretches(part):
-            lows = [(at, one["low"]) for at, one in stretch if one.get("low") is not None]
-            highs = [(at, one["high"]) for at, one in stretch if one.get("high") is not None]
-            axes.band(lows, highs)
-            axes.line([(at, one["value"]) for at, one in stretch], ACCENT, "2")
+            lows, highs = (
+                [(at - now_s, one[end]) for at, one in stretch if one.get(end) is not None]
+                for end in ("low", "high")
+            )
+            plot.band(lows, highs, BAND)
+            plot.line([(at - now_s, one["value"]) for at, one in stretch], ACCENT, 2)
     for stretch in _stretches(force):
-        axes.line(stretch, BESIDE, "1.4", ' stroke-dasharray="5 3"')
+        plot.line([(at - now_s, value) for at, value in stretch], BESIDE, 1.4, "5 3")
     words = "no reading yet"
     if told:
         last = told[-1][1]
         words = f"{number(last['value'], 2)} {unit} now, {'valid' if last['valid'] else 'not valid'}"
-    name = name or column.removesuffix(f"_{unit}")
-    shown = f"{name} [{unit}]" if unit not in ("", "ratio") else name
-    shown += "; dashed: the sensor beside" if force else ""
-    return axes.svg(f"{name} of the last {SPAN_S:g} s", words, shown)
-
-
-class _LiveAxes:
-    """Axes of the last seconds, newest at the right."""
-
-    def __init__(self, values: Sequence[float], now_s: float) -> None:
-        finite = [v for v in values if math.isfinite(v)]
-        low, high = min((*finite, 0.0)), max((*finite, 0.0))
-        span = max(high - low, 0.2)
-        self._low, self._high = low - 0.06 * span, high + 0.14 * span if high - low >= 0.2 else low + span
-        self._now_s = now_s
-        self._parts: list[str] = []
-
-    def at(self, point: Point) -> str:
-        age = min(max(self._now_s - point[0], 0.0), SPAN_S)
-        x = LEFT + (1 - age / SPAN_S) * (WIDTH - LEFT - RIGHT)
-        up = (min(max(point[1], self._low), self._high) - self._low) / (self._high - self._low)
-        return f"{x:.1f},{HEIGHT - BOTTOM - up * (HEIGHT - TOP - BOTTOM):.1f}"
-
-    def line(self, points: Sequence[Point], colour: str, width: str, extra: str = "") -> None:
-        joined = " ".join(self.at(point) for point in points)
-        self._parts.append(
-            f'<polyline points="{joined}" fill="none" stroke="{colour}" stroke-width="{width}"{extra}/>'
-        )
-
-    def band(self, lows: Sequence[Point], highs: Sequence[Point]) -> None:
-        if lows and highs:
-            joined = " ".join(self.at(point) for point in (*lows, *reversed(highs)))
-            self._parts.append(f'<polygon points="{joined}" fill="{BAND}"/>')
-
-    def crosses(self, points: Sequence[Point]) -> None:
-        path = ""
-        for point in points[:: max(1, len(points) // 150)]:
-            x, y = self.at(point).split(",")
-            path += f"M{float(x) - 2.5:.1f} {float(y) - 2.5:.1f}l5 5m-5 0l5 -5"
-        self._parts.append(f'<path d="{path}" stroke="{BAD}" stroke-width="1.2"/>')
-
-    def svg(self, title: str, words: str, unit: str) -> str:
-        parts = [
-            f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img"><title>{escape(title)}</title>',
-            f"<desc>{escape(words)}</desc>",
-        ]
-        step = nice_step((self._high - self._low) / 4)
-        digits = max(0, -math.floor(math.log10(step) + 1e-9))
-        for i in range(math.ceil(self._low / step - 1e-9), math.floor(self._high / step + 1e-9) + 1):
-            y = float(self.at((self._now_s, i * step)).split(",")[1])
-            grid = f'<path d="M{LEFT} {y:.1f}H{WIDTH - RIGHT}" stroke="{SOFT if i == 0 else LINE}"/>'
-            text = f'<text x="{LEFT - 7}" y="{y + 4:.1f}" text-anchor="end">{number(i * step, digits)}</text>'
-            parts.append(grid + text)
-        for age in (20, 15, 10, 5, 0):
-            x = self.at((self._now_s - age, 0.0)).split(",")[0]
-            words, anchor = (f"−{age} s", "middle") if age else ("now", "end")
-            parts.append(f'<text x="{x}" y="{HEIGHT - 7}" text-anchor="{anchor}">{words}</text>')
-        name = f'<text x="{LEFT + 5}" y="{TOP + 9}" class="unit">{escape(unit)}</text>'
-        return "".join([*parts, *self._parts, name, "</svg>"])
+    return plot.svg(f"{name} of the last {SPAN_S:g} s", words)
 
 
 def _stretches(points: Sequence[tuple[float, Any]]) -> list[list[tuple[float, Any]]]:
