@@ -122,7 +122,9 @@ def test_a_failed_control_names_its_target_and_remedy_before_the_numbers(calibra
     confounds = read_card(calibration).confounds
     shares = {"folds": 0.9, "blocks": 0.8, "model": 0.9, "crop": "1,2,3,4"}
     rim = Finding(code=FindingCode.OUTSIDE_DRIFTS, target="x_mm", values=shares)
-    warning = Finding(code=FindingCode.BLOCKS_EXTRAPOLATE, target="height_mm")
+    warning = Finding(
+        code=FindingCode.ORDER_NEIGHBORS, values={"share": 0.9, "kind": "random"}, target="height_mm"
+    )
     changed(calibration, confounds=confounds.model_copy(update={"findings": (rim, warning), "failed": True}))
     page = page_of(calibration)
     first = section_of(page, "findings")

@@ -297,30 +297,15 @@ def report(
         Path | None,
         Option(help="HTML file to make; must not exist. By default beside the folder, of its name."),
     ] = None,
-    steps: Annotated[
-        bool, Option("--steps", help="Print every step from pixels to a reading instead; make no page.")
-    ] = False,
 ) -> None:
     """Write a calibration's report as one self-contained HTML page.
 
     Example: palpate report cal --out cal.html
     """
-    from palpate.estimators.certified import check_files, read_card
-
-    calibration = calibration_in(calibration)
-    if steps:
-        from palpate.estimators.reading_steps import reading_steps
-
-        card = read_card(calibration)
-        check_files(calibration, card)
-        found = reading_steps(card)
-        if card.steps is not None and card.steps.rule == found.rule:
-            found = card.steps
-        words = [f"{i}. {sentence}" for i, sentence in enumerate(found.words, start=1)]
-        print_found(found.model_dump(mode="json"), "\n".join(words))
-        return
+    from palpate.estimators.certified import read_card
     from palpate.reports.sections import ReportedCalibration
 
+    calibration = calibration_in(calibration)
     page = out or calibration.parent / f"{calibration.resolve().name}.html"
     palpate.write_report(calibration, page)
     _tell_left_out(ReportedCalibration(calibration, read_card(calibration)).refused_evaluations)

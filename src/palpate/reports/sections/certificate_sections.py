@@ -31,7 +31,6 @@ from palpate.core import CertificateError, interval_text, rounded
 from palpate.estimators.findings import Finding
 from palpate.estimators.intervals import layout_of
 from palpate.estimators.model_card import Card, TargetCard
-from palpate.estimators.reading_steps import reading_steps
 from palpate.recordings.label_tables import OWN, own_column
 from palpate.reports.calibration_figures import (
     Panel,
@@ -410,16 +409,6 @@ def source(report: ReportedCalibration) -> Values:
     }
 
 
-def steps(report: ReportedCalibration) -> Values:
-    """Show every step from the camera's pixels to a reading."""
-    return {"words": steps_of(report.card)}
-
-
-def steps_of(card: Card) -> tuple[str, ...]:
-    """Return a card's steps in words; for earlier cards, derived."""
-    return (card.steps or reading_steps(card)).words
-
-
 def use(report: ReportedCalibration) -> Values:
     """Show how to use it, and what it does not promise."""
     before = all(target.over_range is None for target in report.card.targets)
@@ -444,6 +433,5 @@ SECTIONS: tuple[Callable[[ReportedCalibration], Values | None], ...] = (
     choice,
     worst,
     source,
-    steps,
     use,
 )
