@@ -39,7 +39,6 @@ class FindingCode(StrEnum):
     CONSTANT_IN_SESSION = "constant-in-session"
     UNIT_OF_SESSION = "unit-of-session"
     RUNS_WITHOUT_SESSION = "runs-without-session"
-    SESSIONS_ALIKE = "sessions-alike"
     SESSIONS_COPIED = "sessions-copied"
     SESSION_TELLS_TARGET = "session-tells-target"
 
@@ -57,7 +56,6 @@ _ORDER = (
     "(rank correlation {rank:+.2f}; {level:.1%} of shuffled {units} do as well)"
 )
 _SHUFFLE = "record presses in random order, with a label press"
-_ONE_SESSION = "this may be one session under two names, which tests no other day"
 
 _WORDS: dict[FindingCode, _Words] = {
     FindingCode.ROWS_SHIFTED: _Words(
@@ -161,11 +159,10 @@ _WORDS: dict[FindingCode, _Words] = {
         "{runs} have no label session, and each counts as a session of its own name next to labeled runs",
         "label session in every run",
     ),
-    FindingCode.SESSIONS_ALIKE: _Words(
-        "warns", f"frames of sessions {{pairs}} do not differ more than presses do: {_ONE_SESSION}"
-    ),
     FindingCode.SESSIONS_COPIED: _Words(
-        "warns", f"{{count}} of {{held}} frames equal frames of another session: {_ONE_SESSION}"
+        "warns",
+        "{count} of {held} frames equal frames of another session: this may be one session under two names, "
+        "which tests no other day",
     ),
     FindingCode.SESSION_TELLS_TARGET: _Words(
         "warns",

@@ -196,17 +196,20 @@ class DecidingPixels:
     def away_from_skin(self, region: SkinRegion) -> Float[np.ndarray, " t"]:
         """Return the ratio of each target's growth ``[t]`` outside the skin.
 
-        A few blocks at the picture's border that hold half of all growth count as outside: no touch is read
-        in one corner.
+        A block next to the skin is no outside, since a touch reaches there; falls of the error count against
+        growth, so that noise adds up to nothing. A few blocks at the picture's border that hold half of all
+        growth are outside: no touch is read in one corner.
         """
         gains = np.clip(self.increase, 0, None)
-        gains /= np.maximum(gains.sum(axis=(1, 2), keepdims=True), np.finfo(float).tiny)
+        whole = np.maximum(gains.sum(axis=(1, 2)), np.finfo(float).tiny)
         down, across = gains.shape[1:]
         cells = cv2.resize(region.outside.astype(np.float32), (across, down), interpolation=cv2.INTER_AREA)
+        outside = cv2.erode((cells > 0.5).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
         border = np.ones((down, across), bool)
         border[1:-1, 1:-1] = False
-        corner = np.sort(gains[:, border], axis=1)[:, -MAX_CORNER_BLOCKS:].sum(axis=1)
-        return np.maximum((gains * (cells > 0.5)).sum(axis=(1, 2)), np.where(corner > 0.5, corner, 0.0))
+        corner = np.sort(gains[:, border], axis=1)[:, -MAX_CORNER_BLOCKS:].sum(axis=1) / whole
+        away = (self.increase * outside).sum(axis=(1, 2)) / whole
+        return np.maximum(away, np.where(corner > 0.5, corner, 0.0))
 
     def save(self, path: Path) -> None:
         """Write the map as a NumPy array, float32."""

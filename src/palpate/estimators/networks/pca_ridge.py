@@ -12,8 +12,8 @@ from scipy.linalg import eigh
 from sklearn.linear_model import Ridge
 from sklearn.model_selection import GroupKFold
 
-from palpate.core import Float, Float32, Indices, InputError, Progress, Tensor, Values, silent
-from palpate.estimators.networks.model_interface import Scaler, TrainingData
+from palpate.core import Float, Float32, Indices, InputError, Progress, Tensor, Values
+from palpate.estimators.networks.model_interface import BuiltInModel, Scaler, TrainingData
 from palpate.estimators.networks.onnx_graph import OnnxGraph
 
 
@@ -40,17 +40,11 @@ class FittedLinear:
 
 
 @dataclass(frozen=True, slots=True)
-class MeanBaseline:
+class MeanBaseline(BuiltInModel):
     """Mean of the training set, the baseline of every model."""
 
-    def fit(
-        self,
-        data: TrainingData,
-        rows: Indices,
-        *,
-        seed: int,
-        progress: Progress = silent,
-        checkpoint: Path | None = None,
+    def _fit(
+        self, data: TrainingData, rows: Indices, seed: int, progress: Progress, checkpoint: Path | None
     ) -> FittedLinear:
         pixels, mean = math.prod(data.shape), data.values[rows].mean(axis=0)
         nothing = np.zeros((pixels, len(mean) + 1), np.float32)
@@ -76,7 +70,7 @@ def principal_axes(centred: Float32[np.ndarray, "n p"], most: int) -> Float32[np
 
 
 @dataclass(frozen=True, slots=True)
-class PcaRidge:
+class PcaRidge(BuiltInModel):
     """PCA, then ridge regression with a penalty chosen by inner folds of whole groups.
 
     Attributes:
@@ -96,14 +90,8 @@ class PcaRidge:
                 "or more, penalties above 0"
             )
 
-    def fit(
-        self,
-        data: TrainingData,
-        rows: Indices,
-        *,
-        seed: int,
-        progress: Progress = silent,
-        checkpoint: Path | None = None,
+    def _fit(
+        self, data: TrainingData, rows: Indices, seed: int, progress: Progress, checkpoint: Path | None
     ) -> FittedLinear:
         rng = np.random.default_rng(seed)
         basis = data.sample(rows, self.basis_frames, rng).reshape(-1, math.prod(data.shape))

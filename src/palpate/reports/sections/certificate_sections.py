@@ -46,12 +46,10 @@ from palpate.reports.calibration_figures import (
 )
 from palpate.reports.evaluation_text import class_answer, classes_told, frames_of, valid_readings_text
 from palpate.reports.sections.target_verdicts import (
-    OuterRange,
     answer,
     fails,
     found_elsewhere,
     others,
-    outer_ranges,
     reading_half_width,
     tested_text,
     verdict,
@@ -215,10 +213,6 @@ class ReportedCalibration:
     def _took_presses_apart(self) -> bool:
         return self.card.split.kind == "random" and press_column(self.table) is not None
 
-    @cached_property
-    def ends(self) -> dict[str, tuple[OuterRange, ...]]:
-        return {t.column: outer_ranges(t, self.table, self.groups) for t in self.card.targets}
-
     @property
     def evaluations(self) -> tuple[EvaluationRecord, ...]:
         """Scores of this very calibration on other recordings, the earliest first."""
@@ -283,9 +277,9 @@ def answers(report: ReportedCalibration) -> Values:
 
 
 def _answer(report: ReportedCalibration, target: TargetCard) -> dict[str, str]:
-    card, ends, name = report.card, report.ends[target.column], target.quantity.replace("_", " ")
+    card, name = report.card, target.quantity.replace("_", " ")
     tested = tested_text(card, target, report.evaluations)
-    sentences = [answer(card, target, ends, report.scored_groups, tested)]
+    sentences = [answer(card, target, report.scored_groups, tested)]
     if target.is_read:
         sentences += [one.removeprefix(f"{name}: ") for one in target_findings(target, card.coverage)]
         sentences += found_elsewhere(target, report.evaluations)
@@ -301,7 +295,7 @@ def _answer(report: ReportedCalibration, target: TargetCard) -> dict[str, str]:
     if not_relied_on(card, target):
         sentences.append("do not rely on this: the audit failed, see above")
     bad = not target.is_read or not_relied_on(card, target)
-    warned = fails(card, target, ends, report.evaluations)
+    warned = fails(card, target, report.evaluations)
     return {"text": ". ".join(one[0].upper() + one[1:] for one in sentences[1:]), "first": sentences[0],
             "style": "bad" if bad else "warn" if warned else ""}  # fmt: skip
 
@@ -327,7 +321,7 @@ def targets(report: ReportedCalibration) -> Values | None:
         "targets": [
             {
                 "name": target.quantity.replace("_", " "),
-                "verdict": verdict(target, report.ends[target.column], report.scored_groups),
+                "verdict": verdict(target, report.scored_groups),
                 "bad": not target.is_read,
                 "findings": target_findings(target, report.card.coverage),
                 "panels": target_panels(target, report.table, report.groups),
