@@ -20,7 +20,7 @@ from palpate.calibration.calibration_job import find_untouched
 from palpate.calibration.fold_fits import representative_fold
 from palpate.core import ExistsError, InputError, LabelError, SplitError
 from palpate.estimators import Estimator, read_card
-from palpate.estimators.networks.pca_ridge import MeanBaseline
+from palpate.estimators.networks.pixel_models import MeanBaseline
 from palpate.recordings import Split, pack, split
 from palpate.recordings.label_tables import read_table
 from palpate.recordings.preparation import Preparation

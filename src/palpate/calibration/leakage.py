@@ -95,8 +95,7 @@ def audit(
 ) -> LeakageAudit:
     """Find groups and frames that are on both sides of a split.
 
-    Near-duplicates have 16 × 16 thumbnails that differ by at most the camera noise, which is estimated from
-    the most similar frames.
+    Near-duplicates have 16 × 16 thumbnails that differ by at most the estimated camera noise.
 
     Args:
         group_columns: by default the conventional ones and every text column in which a text recurs.

@@ -33,7 +33,7 @@ from palpate.estimators.networks.model_interface import (
     typical_error,
 )
 from palpate.estimators.networks.onnx_graph import OnnxGraph
-from palpate.estimators.networks.pca_ridge import principal_axes
+from palpate.estimators.networks.pixel_models import principal_axes
 
 Scores = Float[np.ndarray, "n k"]
 
