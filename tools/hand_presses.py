@@ -22,11 +22,11 @@ from pathlib import Path
 
 import numpy as np
 
-from palpate.calibration.calibration_job import CalibrationJob, table_to_learn
+from palpate.calibration.calibration_job import CalibrationJob, preparation_of, table_to_learn
 from palpate.calibration.calibration_plan import CalibrationPlan
 from palpate.calibration.coverage.conformal import fit_intervals
 from palpate.calibration.evaluation import evaluate
-from palpate.calibration.fitting import calibrate, preparation_of
+from palpate.calibration.fitting import calibrate
 from palpate.core import ManualClock
 from palpate.core.sensor import sensor
 from palpate.estimators.certified import Estimator

@@ -24,18 +24,17 @@ from palpate.calibration.confounds.confound_audit import TargetEvidence, target_
 from palpate.calibration.confounds.row_order import (
     OrderCheck,
     RecordedUnits,
-    extrapolates,
-    label_gap,
     order_checks,
     shift_check,
 )
 from palpate.calibration.confounds.skin_region import (
     BLOCKS,
+    DecidingPixels,
     boxed,
     deciding_pixels,
     find_skin,
     mean_input,
-    outside_control,
+    outside_shares,
 )
 from palpate.calibration.confounds.target_functions import (
     Kernels,
@@ -126,12 +125,18 @@ def test_the_outside_tells_what_was_put_there_and_nothing_else(rng) -> None:
     images[:, 8:16, 8:16, 0] += 10 * values[:, [1]][..., None]
     images[:, 0, :, 0] += 4 * values[:, [0]]
     region = boxed((24, 24), (6, 6, 12, 12))
-    found = outside_control(images, region, values, thirds(240), interleaved_blocks(np.arange(240)))
-    assert found.folds[0] > 0.95
-    assert found.blocks[0] > 0.95
-    assert found.folds[1] < 0.05
-    assert found.inside[1] > 0.95
-    assert found.inside[0] < 0.05
+    folds, blocks = outside_shares(images, region, values, thirds(240), interleaved_blocks(np.arange(240)))
+    assert folds[0] > 0.95
+    assert blocks[0] > 0.95
+    assert folds[1] < 0.05
+
+
+def test_pixels_that_decide_away_from_the_skin_are_told_from_those_on_it() -> None:
+    growth = np.zeros((2, 12, 12))
+    growth[0, 5:7, 5:7], growth[1, 0, 0], growth[1, 5, 5] = 1.0, 3.0, 1.0
+    found = DecidingPixels(growth, 9)
+    assert found.away_from_skin(boxed((24, 24), (6, 6, 12, 12))).tolist() == [0.0, 0.75]
+    assert found.away_from_skin(boxed((24, 24), (0, 0, 24, 24))).tolist() == [0.0, 0.75]
 
 
 @pytest.mark.parametrize("n", [30, 300])
@@ -180,15 +185,6 @@ def test_order_is_graver_where_outside_or_neighbors_predict_the_label(
     found = target_confounds(one, 100, "0,0,9,9", "random")
     assert {finding.code for finding in found} == codes
     assert all(finding.text and finding.target == "x_mm" for finding in found)
-
-
-def test_blocks_as_long_as_a_part_of_the_range_extrapolate(rng) -> None:
-    values = np.arange(1000.0)
-    blocks = [np.arange(k, k + 100) for k in range(0, 1000, 100)]
-    # Distances to the nearer end of a block of 100 are 1 to 50; at both ends of the range, twice as far.
-    assert label_gap(values, blocks) == pytest.approx(0.028, abs=0.004)
-    assert extrapolates(values, blocks)
-    assert not extrapolates(rng.permutation(values), blocks)
 
 
 def two_sides(n: int) -> list[tuple[np.ndarray, np.ndarray]]:

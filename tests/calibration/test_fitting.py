@@ -7,12 +7,20 @@ import pytest
 from tests.refusals import refused
 from tests.slow_params import mostly_slow
 
-from palpate.calibration import CalibrationPlan, ReferenceRule, calibrate, evaluate, fitting
+from palpate.calibration import (
+    CalibrationPlan,
+    ReferenceRule,
+    calibrate,
+    calibration_job,
+    evaluate,
+    fitting,
+    fold_fits,
+)
 from palpate.calibration.calibration_job import find_untouched
-from palpate.calibration.fitting import representative_fold
+from palpate.calibration.fold_fits import representative_fold
 from palpate.core import ExistsError, InputError, LabelError, SplitError
 from palpate.estimators import Estimator, read_card
-from palpate.estimators.networks.pca_ridge import MeanBaseline
+from palpate.estimators.networks.pixel_models import MeanBaseline
 from palpate.recordings import Split, pack, split
 from palpate.recordings.label_tables import read_table
 from palpate.recordings.preparation import Preparation
@@ -132,9 +140,12 @@ def test_work_whose_note_is_damaged_begins_anew(note, run, tmp_path) -> None:
 
 
 def test_work_by_another_version_or_with_other_folds_begins_anew(run, tmp_path, monkeypatch) -> None:
-    for name, value in (("__version__", "0.0.9"), ("split", lambda *a, **k: split(*a, **{**k, "seed": 1}))):
+    for module, name, value in (
+        (fitting, "__version__", "0.0.9"),
+        (calibration_job, "split", lambda *a, **k: split(*a, **{**k, "seed": 1})),
+    ):
         with monkeypatch.context() as patched:
-            patched.setattr(fitting, name, value)
+            patched.setattr(module, name, value)
             interrupt(run, RIDGE, tmp_path / name)
         assert len(fitted_folds(run, RIDGE, tmp_path / name)) == 5
 
@@ -278,7 +289,7 @@ def test_the_scored_fold_of_several_targets_is_one_if_chosen_by_the_same_labels(
         chosen.append(representative_fold(parts, values))
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(fitting, "representative_fold", choose)
+    monkeypatch.setattr(fold_fits, "representative_fold", choose)
     for fold_by in ((), TWO):
         for target in TWO:
             plan = replace(MEAN, targets=(target,), scored_folds=1, fold_by=fold_by)

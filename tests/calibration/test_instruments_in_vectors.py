@@ -9,9 +9,8 @@ import pytest
 
 from palpate.calibration.coverage.conformal import fit_intervals, vector_cards
 from palpate.core import Reading
-from palpate.estimators.intervals import vector_reading
+from palpate.estimators.intervals import joint_reach, vector_reading
 from palpate.estimators.model_card import InstrumentCard
-from palpate.estimators.reading_steps import joint_reach
 from palpate.estimators.reference_uncertainty import reference_half_width
 
 pytestmark = pytest.mark.usefixtures("changes_untried")

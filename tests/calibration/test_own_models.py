@@ -201,7 +201,7 @@ def test_an_instance_s_settings_are_the_plan_s_options() -> None:
 PLUGIN_FILE = """
 from dataclasses import dataclass
 import numpy as np
-from palpate.estimators.networks.pca_ridge import MeanBaseline, PcaRidge
+from palpate.estimators.networks.pixel_models import MeanBaseline, PcaRidge
 
 @dataclass(frozen=True)
 class Constant(MeanBaseline):

@@ -10,7 +10,8 @@ import pytest
 from tests.refusals import refused
 
 from palpate.calibration import CalibrationPlan, calibrate
-from palpate.calibration.sessions.session_findings import alike_sessions, check_sessions, label_findings
+from palpate.calibration.calibration_job import check_sessions
+from palpate.calibration.sessions.session_findings import label_findings
 from palpate.core import SplitError
 from palpate.estimators import read_card
 from palpate.estimators.findings import FindingCode
@@ -70,33 +71,6 @@ def test_what_speaks_against_sessions_is_named_and_nothing_of_two_good_days(rng)
     assert FindingCode.CONSTANT_IN_SESSION in codes(two, rng, force_N=still)
     angle = np.r_[rng.uniform(-180, 180, 30), rng.uniform(-np.pi, np.pi, 30)]
     assert codes(two, rng, angle_deg=angle) == [FindingCode.UNIT_OF_SESSION]
-
-
-def frames(rng, count: int, lamp: float) -> np.ndarray:
-    """Spots at drawn places under a lamp, small."""
-    rows, columns = np.mgrid[:16, :16]
-    x, y = rng.uniform(3, 13, (2, count, 1, 1))
-    spot = 80 * np.exp(-((columns - x) ** 2 + (rows - y) ** 2) / 8)
-    return (100 + lamp + spot + rng.normal(0, 1, spot.shape))[..., None].astype(np.float32)
-
-
-def test_two_halves_of_one_session_cannot_be_told_apart_and_two_lamps_can() -> None:
-    named = {0.0: 0, 2.0: 0}
-    for lamp in named:
-        for seed in range(20):
-            rng = np.random.default_rng(seed)
-            pictures = np.concatenate([frames(rng, 40, 0), frames(rng, 40, lamp)])
-            found = alike_sessions(pictures, np.repeat(["mon", "tue"], 40), np.arange(80))
-            named[lamp] += len(found)
-    assert named[0.0] >= 17  # a level of 5 % of 20
-    assert named[2.0] == 0
-
-
-def test_presses_and_not_frames_are_what_is_shuffled(rng) -> None:
-    """Forty frames of ten presses a session differ between sessions as ten presses do."""
-    pictures = np.repeat(frames(rng, 20, 0), 4, axis=0)
-    sessions, units = np.repeat(["mon", "tue"], 40), np.repeat(np.arange(20), 4)
-    assert len(alike_sessions(pictures, sessions, units)) == 1
 
 
 def test_all_but_one_row_in_a_session_leave_nothing_to_learn_from_and_are_refused(

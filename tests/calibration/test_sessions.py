@@ -22,7 +22,6 @@ from palpate.calibration.sessions import keep_evaluation, read_evaluations, rese
 from palpate.calibration.sessions.interval_reset import (
     ExpectedCoverage,
     SessionSpread,
-    _half_turns_at_most,
     few_sessions_factor,
     intervals_of_sessions,
     intervals_set_anew,
@@ -368,8 +367,6 @@ def test_angles_and_vectors_of_a_new_session_are_covered_at_the_rate_that_its_ro
     columns = ("d_mm", "a_deg", "x_mm", "y_mm")
     (vector,) = vector_cards({"p_mm": ("x_mm", "y_mm")}, columns, former, outputs, true, np.arange(1500))
     correlation, radius = np.array(vector.correlation), vector.radius
-    capped = _half_turns_at_most(former, np.tile([[200.0]], (2, 4)))
-    assert capped.tolist() == [[200.0, 180.0, 200.0, 200.0]] * 2  # an angle is off by half a turn at most
 
     def scaled(outputs: np.ndarray, true: np.ndarray) -> np.ndarray:
         return (former.errors(outputs, true) / former.spread.at(outputs))[:, 2:]

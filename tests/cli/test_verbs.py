@@ -168,7 +168,6 @@ def test_what_is_of_a_virtual_sensor_is_said_once_to_be_simulated(
         (["calibrate", "RUN", "--targets", "remark", "--out", "OUT"], "remark"),
         (["calibrate", "RUN", "--targets", "nothing", "--out", "OUT"], "nothing"),
         (["calibrate", "RUN", "--targets", "x_mm", "--model", "oracle", "--out", "OUT"], "kernel-ridge"),
-        (["calibrate", "RUN", "--targets", "x_mm", "--minutes", "2", "--out", "OUT"], "--model auto"),
         (["calibrate", "RUN", "--targets", "x_mm", "--split", "by luck", "--out", "OUT"], "by luck"),
         (
             [

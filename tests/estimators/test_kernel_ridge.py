@@ -9,8 +9,8 @@ from sklearn.model_selection import GroupKFold
 
 from palpate.core import InputError
 from palpate.estimators.networks import TrainingData, make_model
-from palpate.estimators.networks.kernel.image_features import PinMoments, pin_moments
-from palpate.estimators.networks.kernel.kernel_ridge import (
+from palpate.estimators.networks.image_features import PinMoments, pin_moments
+from palpate.estimators.networks.kernel_ridge import (
     Kernel,
     KernelRidge,
     KernelShape,

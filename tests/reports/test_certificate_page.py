@@ -2,17 +2,13 @@
 
 import html
 
-import numpy as np
-import pandas as pd
 import pytest
 
 from palpate.calibration import CalibrationPlan, calibrate
-from palpate.calibration.evaluation import score
 from palpate.core import CertificateError
 from palpate.core.provenance import Provenance
 from palpate.estimators import read_card
 from palpate.reports import render_report, scores_table, verdict, write_report
-from palpate.reports.sections import MIN_TOLD, outer_ranges
 
 pytestmark = pytest.mark.usefixtures("figures_drawn_once", "changes_untried")
 
@@ -72,43 +68,20 @@ def test_a_target_that_the_model_does_not_read_is_called_so(record_spots, tmp_pa
     assert "model does" in scores_table({"x_mm": card.targets[0].score})
 
 
-def held_out(card, missed_at_the_top: int, rng: np.random.Generator, n: int = 500):
-    """A target's card and held-out rows: truth 0 to 6 mm, 450 of 500 covered."""
-    true = np.linspace(0, 6, n)
-    missed = np.zeros(n, bool)
-    missed[rng.choice(np.arange(n - 50, n), missed_at_the_top, replace=False)] = True
-    missed[rng.choice(np.arange(n - 50), n // 10 - missed_at_the_top, replace=False)] = True
-    estimate = true - np.where(missed, 0.3, 0.02)
-    half = np.full(n, 0.1)
-    found = score("mm", true, estimate, half, 3.0, np.arange(n))
-    target = card.targets[0].model_copy(update={"column": "depth_mm", "quantity": "depth", "score": found})
-    return target.model_copy(update={"unit": "mm"}), pd.DataFrame(
-        {"depth_mm": true, "estimate:depth_mm": estimate, "half_width:depth_mm": half}
-    )
+def test_the_verdict_is_that_of_the_coverage_over_all_rows_and_in_each_tenth(calibration) -> None:
+    target = read_card(calibration).targets[0]
 
+    def said(low: float, high: float, p: float = 1.0) -> str:
+        ends = {"coverage_90": (low + high) / 2, "coverage_90_low": low, "coverage_90_high": high}
+        tenths = tuple(one.model_copy(update={"p": p}) for one in target.over_range.tenths)
+        changes = {
+            "score": target.score.model_copy(update=ends),
+            "over_range": target.over_range.model_copy(update={"tenths": tenths}),
+        }
+        return verdict(target.model_copy(update=changes))
 
-def test_as_promised_is_said_where_both_outer_ranges_cover(calibration, rng) -> None:
-    target, table = held_out(read_card(calibration), 5, rng)
-    ends = outer_ranges(target, table, np.arange(len(table)))
-    assert [end.n for end in ends] == [50, 50]
-    assert "as promised" in verdict(target, ends)
-
-
-def test_ends_with_too_few_rows_are_not_judged(calibration, rng) -> None:
-    target, table = held_out(read_card(calibration), 5, rng)
-    few = table.iloc[::15]
-    assert outer_ranges(target, few, np.arange(len(few))) == ()
-    assert "too few" in verdict(target)
-
-
-@pytest.mark.parametrize("missed", [0, 1, 3])
-@pytest.mark.cases(1)
-def test_one_press_at_an_end_is_never_enough_to_judge_it(calibration, rng, missed) -> None:
-    target, table = held_out(read_card(calibration), 0, rng)
-    table.loc[table.index[len(table) - missed :], "estimate:depth_mm"] -= 1.0
-    presses = np.minimum(np.arange(len(table)), len(table) - 50)
-    (_, end) = ends = outer_ranges(target, table, presses)
-    assert (end.n, end.covered) == (50, 50 - missed)
-    assert end.low < MIN_TOLD
-    assert end.high > 0.9
-    assert "above 5.41" in verdict(target, ends)
+    assert "less often" in said(0.7, 0.85)
+    assert "cannot judge" in said(0.65, 0.95)
+    assert "whole range" in said(0.85, 0.95, p=1e-6)
+    assert "they are wide" in said(0.92, 0.98)
+    assert "as promised" in said(0.85, 0.95)

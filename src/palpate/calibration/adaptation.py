@@ -37,8 +37,8 @@ from palpate.calibration.leakage import audit
 from palpate.calibration.robustness.perturbation_suite import (
     CertifiedModel,
     Suite,
-    adapted_guard,
     former_frames,
+    guard_of,
 )
 from palpate.calibration.sessions.session_findings import sessions_card
 from palpate.core import (
@@ -399,7 +399,7 @@ def _result(
     fitted = _CorrectedNetwork(estimator, adapted.correction)
     intervals = intervals_by(intervals_of_presses, adapted.held_out, data, plan)
     suite = Suite(job, adapted.held_out, fitted, intervals)
-    novelty, robustness = adapted_guard(suite, former_frames(estimator), progress)
+    novelty, robustness = guard_of(suite, progress, former_frames(estimator))
     result = CalibrationResult(
         job=job,
         audit=audit(job.packed, parts),

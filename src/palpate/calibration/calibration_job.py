@@ -2,20 +2,51 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from palpate.calibration.calibration_plan import SESSION, CalibrationPlan, ReferenceRule
-from palpate.calibration.classes import ClassLabels, target_values, with_classes
-from palpate.core import Bool, Float32, ImageError, Indices, InputError, Int, LabelError, Tensor
+from palpate.calibration.calibration_plan import (
+    SESSION,
+    CalibrationPlan,
+    ReferenceRule,
+    check_vector_names,
+)
+from palpate.calibration.classes import (
+    ClassLabels,
+    check_learnable,
+    class_labels,
+    target_values,
+    with_classes,
+)
+from palpate.calibration.coverage.range_scores import refuse_no_angles
+from palpate.core import (
+    Bool,
+    Float32,
+    ImageError,
+    Indices,
+    InputError,
+    Int,
+    LabelError,
+    Progress,
+    SplitError,
+    Tensor,
+    Values,
+    split_column,
+)
 from palpate.estimators.guard import thumbnails
 from palpate.estimators.model_card import Card
+from palpate.estimators.networks import make_model, model_kind
 from palpate.estimators.networks.model_interface import TrainingData
-from palpate.recordings import Manifest, PackedSet, Run, Split
+from palpate.recordings import Manifest, PackedSet, Run, Split, pack, split
+from palpate.recordings.joined_runs import check_instruments
+from palpate.recordings.label_tables import refuse_reserved
+from palpate.recordings.preparation import Preparation
 from palpate.recordings.splits import conventional_groups, group_names, within_session
 
 Box = tuple[int, int, int, int]
@@ -188,6 +219,16 @@ class CalibrationJob:
         data = TrainingData(packed.preparation.shape, values, groups, fetch, tuple(plan.targets))
         return cls(run, plan, parts, whole, rows, packed, untouched, data, classes)
 
+    @classmethod
+    def packed_in(
+        cls, folder: Path, run: Run, plan: CalibrationPlan, parts: Split, progress: Progress
+    ) -> CalibrationJob:
+        """Pack the frames into a folder, unless an interrupted run has done so."""
+        if not folder.exists():
+            pack(run, folder, preparation_of(run, plan), lambda done, of: progress("packing", done, of))
+        packed = PackedSet.open(folder)
+        return cls.of(run, plan, parts, packed, _classes_of(run, plan, table_to_learn(packed.table, plan)))
+
     @property
     def table(self) -> pd.DataFrame:
         """Labels of `packed`."""
@@ -230,6 +271,137 @@ class CalibrationJob:
         """Folds in rows of `whole`; rows that are not trained on are dealt out to them."""
         others, folds = np.setdiff1d(np.arange(len(self.whole)), self.rows), self.parts.folds
         return [np.append(self.rows[fold], others[k :: len(folds)]) for k, fold in enumerate(folds)]
+
+
+MIN_LEARNT = 5  # least rows to train on in each fold
+
+
+def split_rows(run: Run, plan: CalibrationPlan) -> Split:
+    """Check a run against a plan, and split its training rows into folds."""
+    if len(run) < 10:
+        raise InputError(
+            f"{run.path} holds {len(run)} frames; a calibration needs 10 or more", code="few-frames"
+        )
+    refuse_reserved(list(run.manifest.labels), str(run.path))
+    check_instruments(run, plan.targets, plan.instruments)
+    check_vector_names(plan.vectors, run.manifest.labels, str(run.path))
+    make_model(plan.model, plan.options)
+    preparation_of(run, plan).apply(run.frame(0).image)
+    table = table_to_learn(run.labels, plan)
+    values = target_values(table, plan.targets, str(run.path))
+    for column, period, column_values in zip(plan.targets, plan.layout.periods, values.T, strict=True):
+        if period is not None:
+            refuse_no_angles(column, column_values, split_column(column)[1].symbol, period)
+    classes = _classes_of(run, plan, table)
+    others = table.drop(columns=list(plan.classes)) if plan.split == "auto" else table
+    parts = split(others, plan.split, folds=fold_count(plan), seed=plan.seed)
+    _refuse_fewer_folds(plan, parts)
+    check_learnable(classes, parts)
+    names = tuple(name for one in classes for name in one.output_names)
+    check_sessions(table, with_classes(values, classes), (*plan.targets, *names), parts)
+    _refuse_few_to_learn(parts, len(table))
+    return parts
+
+
+def fold_count(plan: CalibrationPlan) -> int:
+    """Return the number of folds: five, or eight for a costly model."""
+    return plan.folds or (8 if model_kind(plan.model).costly else 5)
+
+
+def _classes_of(run: Run, plan: CalibrationPlan, table: pd.DataFrame) -> tuple[ClassLabels, ...]:
+    hint = (
+        ""
+        if len(table) == len(run)
+        else " (rows of the untouched sensor are learnt from by --learn-untouched)"
+    )
+    return class_labels(table, plan.classes, str(run.path), hint=hint)
+
+
+def _refuse_fewer_folds(plan: CalibrationPlan, parts: Split) -> None:
+    """Raise where a split makes fewer folds than were asked for; the default takes what there is."""
+    made = len(parts.folds)
+    if plan.folds is not None and plan.folds > made:
+        column = f" of {' and '.join(parts.group_columns)}" if parts.group_columns else ""
+        raise SplitError(
+            f"{plan.folds} folds were asked for, and split {plan.split!r} makes {made} here, by {made} "
+            f"groups{column}: ask for at most {made}, for none in particular, or for another split",
+            code="few-groups",
+        )
+
+
+def _refuse_few_to_learn(parts: Split, rows: int) -> None:
+    """Raise where a fold leaves next to nothing to learn from, as where all but one row is one session."""
+    largest = max(len(fold) for fold in parts.folds)
+    if rows - largest < MIN_LEARNT:
+        raise SplitError(
+            f"split {parts.kind}: one fold holds out {largest} of {rows} rows, and {rows - largest} are left "
+            f"to train on; {MIN_LEARNT} or more are needed: record more of the other groups, or split "
+            "otherwise",
+            code="split-trains-few",
+        )
+
+
+def check_sessions(table: pd.DataFrame, values: Values, columns: Sequence[str], split: Split) -> None:
+    """Refuse to hold out sessions whose labels cannot name sessions.
+
+    Args:
+        values: targets ``[n t]``, named `columns`.
+    """
+    if SESSION not in table or SESSION not in split.group_columns:
+        return
+    sessions = group_names(table, (SESSION,))
+    names = np.unique(sessions)
+    if len(names) < 2:
+        return
+    remedy = "name what was recorded without re-mounting the sensor, such as the day, or use --split random"
+    for column in columns:
+        if column in table and np.array_equal(sessions, group_names(table, (column,))):
+            raise SplitError(f"label 'session' repeats target {column!r}; {remedy}", code="session-is-target")
+    if 2 * len(names) > len(sessions):
+        raise SplitError(
+            f"label 'session' has {len(names)} values in {len(sessions)} rows: it numbers rows; {remedy}",
+            code="session-numbers-rows",
+        )
+    spelt: dict[str, str] = {}
+    for name in map(str, names):
+        first = spelt.setdefault("".join(name.split()).casefold(), name)
+        if first != name:
+            raise SplitError(
+                f"sessions {first!r} and {name!r} are one name in two spellings; use one",
+                code="session-spelling",
+            )
+    for column, target in zip(columns, values.T, strict=True):
+        if share_between(target, sessions) > 1 - 1e-9:
+            raise SplitError(
+                f"target {column!r} has one value in each session, which no other session contains. Record "
+                "each session over the whole range, or split within sessions (--split blocks)",
+                code="session-is-target",
+            )
+
+
+def share_between(target: np.ndarray, sessions: np.ndarray) -> float:
+    """Return the ratio of a target's variance ``[n]`` between the sessions' means (eta squared)."""
+    _, of = np.unique(sessions, return_inverse=True)
+    means = np.bincount(of, weights=target) / np.bincount(of)
+    variance = float(np.var(target))
+    return float(np.var(means[of])) / variance if variance > 0 else 0.0
+
+
+def preparation_of(run: Run, plan: CalibrationPlan) -> Preparation:
+    """Return the preparation a plan asks for.
+
+    Without a size, the input has as many pixels as the model's own square one, in the proportions of frame or
+    crop.
+    """
+    if plan.size_px is not None:
+        return Preparation(plan.crop_px, plan.size_px, plan.channels, plan.beside_px, plan.lens)
+    side = model_kind(plan.model).side_px
+    if plan.beside_px is not None:
+        return Preparation(plan.crop_px, (side, 2 * side), plan.channels, plan.beside_px, plan.lens)
+    height, width = plan.crop_px[:1:-1] if plan.crop_px else run.frame(0).image.shape[:2]
+    tall = math.sqrt(height / width)
+    size = round(side * tall), round(side / tall)
+    return Preparation(plan.crop_px, size, plan.channels, lens=plan.lens)
 
 
 HELD_OUT_WHOLE = (SESSION, "sensor", "copy")  # columns of which a new group is predicted, the coarsest first

@@ -194,34 +194,25 @@ class CalibrationPlan:
         return TargetLayout(tuple(self.circular.get(target) for target in self.targets))
 
     def _check_numbers(self) -> None:
-        if self.folds is not None and self.folds < 2:
-            raise InputError(
-                f"{self.folds} folds; a split needs 2 or more, to train on one and hold one out",
-                code="plan-range",
-            )
-        if self.scored_folds is not None and self.scored_folds < 1:
-            raise InputError(
-                f"{self.scored_folds} folds to score; at least 1 must be held out", code="plan-range"
-            )
-        if self.seed < 0:
-            raise InputError(f"seed {self.seed}; a seed is 0 or more", code="plan-range")
-        if self.channels not in (1, 3):
-            raise InputError(f"{self.channels} channels; 1 for grey or 3 for RGB", code="plan-range")
-        if not 0.5 <= self.coverage < 1:
-            raise InputError(
-                f"coverage is {self.coverage}; it is a rate from 0.5 up to, not including, 1",
-                code="plan-range",
-            )
-        if self.size_px is not None and min(self.size_px) < 1:
-            raise InputError(
-                f"an input of {self.size_px} px; its height and width are 1 px or more", code="plan-range"
-            )
         boxes = {"crop": self.crop_px, "second crop": self.beside_px, "skin": self.skin_px}
-        for name, box in boxes.items():
-            if box is not None and (min(box[:2]) < 0 or min(box[2:]) < 1):
-                raise InputError(
-                    f"{name} {box} px; x and y are 0 or more, width and height 1 or more", code="plan-range"
-                )
+        checks = [
+            (self.folds is None or self.folds >= 2,
+             f"{self.folds} folds; a split needs 2 or more, to train on one and hold one out"),
+            (self.scored_folds is None or self.scored_folds >= 1,
+             f"{self.scored_folds} folds to score; at least 1 must be held out"),
+            (self.seed >= 0, f"seed {self.seed}; a seed is 0 or more"),
+            (self.channels in (1, 3), f"{self.channels} channels; 1 for grey or 3 for RGB"),
+            (0.5 <= self.coverage < 1,
+             f"coverage is {self.coverage}; it is a rate from 0.5 up to, not including, 1"),
+            (self.size_px is None or min(self.size_px) >= 1,
+             f"an input of {self.size_px} px; its height and width are 1 px or more"),
+            *((box is None or (min(box[:2]) >= 0 and min(box[2:]) >= 1),
+               f"{name} {box} px; x and y are 0 or more, width and height 1 or more")
+              for name, box in boxes.items()),
+        ]  # fmt: skip
+        for holds, why in checks:
+            if not holds:
+                raise InputError(why, code="plan-range")
 
     def to_dict(self) -> dict[str, Any]:
         plain = asdict(replace(self, lens=None)) | {

@@ -54,7 +54,7 @@ from palpate.estimators.certified import CARD_FILE, checked_file
 from palpate.estimators.class_sets import Outputs, TargetLayout
 from palpate.estimators.findings import ChoiceCard, ConfoundCard, RobustnessCard, TrainingCard, TrialCard
 from palpate.estimators.guard import NoveltyDetector
-from palpate.estimators.intervals import Intervals
+from palpate.estimators.intervals import Intervals, within
 from palpate.estimators.model_card import (
     FORMAT,
     Card,
@@ -89,7 +89,7 @@ class CalibrationResult:
     """
 
     job: CalibrationJob
-    audit: LeakageAudit
+    audit: LeakageAudit | None
     held_out: Outputs
     intervals: Intervals
     fitted: Fitted
@@ -218,12 +218,20 @@ def interval_fields(
     }
 
 
-def target_cards(result: CalibrationResult, intervals: Intervals, halves: Values) -> Iterator[TargetCard]:
-    """Return ranges, intervals, and scores of each target."""
+def target_cards(
+    result: CalibrationResult, intervals: Intervals, halves: Values, kept: Sequence[TargetCard] = ()
+) -> Iterator[TargetCard]:
+    """Return ranges, intervals, and scores of each target.
+
+    Args:
+        kept: cards whose ranges and training means stay; none for those of the rows.
+    """
     scored, values, groups = result.scored, result.data.values, result.data.groups
     outputs = result.held_out[scored]
     inside = intervals.hold(outputs, values[scored])
-    ranges = [
+    if kept:  # the rows that set the width lie on its very end
+        inside = within(intervals.errors(outputs, values[scored]), -halves, halves)
+    ranges = [(one.least, one.greatest) for one in kept] or [
         _range_of(column, period) for column, period in zip(values.T, result.layout.periods, strict=True)
     ]
     over_range = range_cards(intervals, outputs, values[scored], groups[scored], ranges)
@@ -232,7 +240,8 @@ def target_cards(result: CalibrationResult, intervals: Intervals, halves: Values
         least, greatest = ranges[j]
         mean_of_others = np.empty_like(true)
         for k, rows in enumerate(result.job.parts.folds):
-            mean_of_others[rows] = mean_of(true[result.job.parts.training_rows(k)], period)
+            others = true[result.job.parts.training_rows(k)]
+            mean_of_others[rows] = kept[j].training_mean if kept else mean_of(others, period)
         scores = score(
             unit.symbol,
             true[scored],
@@ -250,7 +259,7 @@ def target_cards(result: CalibrationResult, intervals: Intervals, halves: Values
             unit=unit.symbol,
             least=least,
             greatest=greatest,
-            training_mean=mean_of(true, period),
+            training_mean=kept[j].training_mean if kept else mean_of(true, period),
             measured_by=instrument_card(
                 result.job.plan.instruments.get(column) or result.job.run.manifest.instruments.get(column),
                 result.job.plan.coverage,
@@ -458,6 +467,7 @@ def training_card(fitted: Fitted) -> TrainingCard | None:
 
 def split_card(result: CalibrationResult) -> SplitCard:
     """Return the split of the rows, and the findings of its audit."""
+    assert result.audit is not None
     return SplitCard(
         kind=result.job.parts.kind,
         reason=result.job.parts.reason,

@@ -19,6 +19,7 @@ from itertools import count
 import numpy as np
 import pandas as pd
 
+from palpate.calibration.calibration_plan import CalibrationPlan
 from palpate.calibration.coverage.grouped_rates import (
     grouped_coverage_interval,
     is_distribution_free,
@@ -32,6 +33,7 @@ from palpate.estimators.class_sets import (
     ClassOutputs,
     ClassScoreCard,
     Members,
+    Outputs,
     class_parts,
     members_of,
 )
@@ -325,6 +327,17 @@ def held_out_classes(
         cards.append(_card(one, fit_thresholds(*given), answers, coverage))
         sets.append(members)
     return HeldOutClasses(labels, outputs, tuple(cards), tuple(sets))
+
+
+def held_out_parts(
+    labels: tuple[ClassLabels, ...],
+    outputs: Float[np.ndarray, "n _"],
+    groups: np.ndarray,
+    plan: CalibrationPlan,
+) -> tuple[Outputs, HeldOutClasses | None]:
+    """Return the held-out outputs of the targets, and the class columns with sets and scores."""
+    targets, classes = np.split(outputs, [plan.layout.outputs], axis=1)
+    return targets, held_out_classes(labels, classes, groups, plan.coverage) if labels else None
 
 
 def check_learnable(labels: tuple[ClassLabels, ...], parts: Split) -> None:

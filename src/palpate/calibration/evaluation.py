@@ -20,7 +20,17 @@ from palpate.calibration.coverage.grouped_rates import (
 )
 from palpate.calibration.coverage.range_scores import dispersion, range_scores, shortest, target_findings
 from palpate.calibration.near_copies import LearntFrames, find_learnt_frames
-from palpate.core import Bool, CertificateError, LabelError, Progress, Shaped, Values, half_width_text, silent
+from palpate.core import (
+    Bool,
+    CertificateError,
+    LabelError,
+    Progress,
+    Readings,
+    Shaped,
+    Values,
+    half_width_text,
+    silent,
+)
 from palpate.estimators.certified import Estimator, Zero
 from palpate.estimators.findings import ValidScoreCard
 from palpate.estimators.intervals import intervals_of, layout_of, within
@@ -180,58 +190,57 @@ def _read_run(
     card = estimator.card
     rows = rows_to_score(card, run.labels)
     error_spread, count = intervals_of(card).spread, layout_of(card).outputs
-    table = run.labels.iloc[rows].reset_index(drop=True)
     zeros = {} if zero is not None else zeros_of(estimator, run)
-    predicted, half = np.full((2, len(rows), len(card.columns)), np.nan)
-    low, high = np.full((2, len(rows), len(card.columns)), np.nan)
     spread = np.full((len(rows), len(card.columns)), np.nan)
     valid = np.zeros(spread.shape, bool)
-    joint = {part: np.full(len(rows), np.nan) for vector in card.vectors or () for part in vector.columns}
-    classes: dict[str, list[str]] = {f"{k}:{c.column}": [] for c in card.classes or () for k in CLASS_KINDS}
-    asked = [k for k, t in enumerate(card.targets) if not t.is_never_valid]
-    whys: list[str] = []
-    all_valid: list[bool] = []
-    drifted: list[bool] = []
+    cells: list[dict[str, Any]] = []
+    own: list[dict[str, Any]] = []
     for i, row in enumerate(rows):
         readings, outputs = estimator.read_with_outputs(run.frame(int(row)), zero or zeros.get(int(row)))
         if outputs is not None and card.targets:
             spread[i] = error_spread.at(outputs[:, :count])[0]
-        each = [readings[column] for column in card.columns]
-        predicted[i] = [reading.value for reading in each]
-        valid[i] = [reading.valid for reading in each]
-        half[i] = [(reading.high - reading.low) / 2 for reading in each]
-        low[i], high[i] = [one.low for one in each], [one.high for one in each]
-        for vector in card.vectors or ():
-            reach = readings[vector.column].region.half_widths
-            for part, reached in zip(vector.columns, reach, strict=True):
-                joint[part][i] = reached
-        for one in card.classes or ():
-            classes[f"estimate:{one.column}"].append(readings[one.column].value)
-            classes[f"set:{one.column}"].append(SEPARATOR.join(readings[one.column].members))
-        named = [readings[one.column] for one in card.classes or ()]
-        of_read = [*(each[k] for k in asked), *named]
-        drifted.append(any(one.drift is not None and one.drift.drifted for one in readings.values()))
-        all_valid.append(bool(of_read) and all(reading.valid for reading in of_read))
-        told = [r for r, t in zip(each, card.targets, strict=True) if not untold(t, r.low, r.high)]
-        told += [one for one in named if 0 < len(one.members) < len(one.classes)]
-        whys.append("; ".join(sorted({reading.why for reading in told or each + named if reading.why})))
+        valid[i] = [readings[column].valid for column in card.columns]
+        cells.append(_cells(card, readings))
+        own.append(_own(card, readings))
         progress("evaluating", i + 1, len(rows))
-    for j, column in enumerate(card.columns):
-        table[f"estimate:{column}"], table[f"half_width:{column}"] = predicted[:, j], half[:, j]
-        table[f"low:{column}"], table[f"high:{column}"] = low[:, j], high[:, j]
-    table = table.assign(
-        **{f"joint_half_width:{part}": reached for part, reached in joint.items()}, **classes
-    )
-    own: dict[str, Any] = {
-        "valid": [not why for why in whys],
-        "why": whys,
-        "all_valid": np.array(all_valid, bool),
-        "drifted": np.array(drifted, bool),
+    table = pd.concat([run.labels.iloc[rows].reset_index(drop=True), pd.DataFrame(cells)], axis=1)
+    return with_own(table, {name: [one[name] for one in own] for name in OWN_COLUMNS}), spread, valid
+
+
+OWN_COLUMNS = ("valid", "why", "all_valid", "drifted")
+
+
+def _cells(card: Card, readings: Readings) -> dict[str, Any]:
+    """Columns of `predictions` for one frame."""
+    cells: dict[str, Any] = {}
+    for column in card.columns:
+        one = readings[column]
+        cells |= {f"estimate:{column}": one.value, f"half_width:{column}": (one.high - one.low) / 2}
+        cells |= {f"low:{column}": one.low, f"high:{column}": one.high}
+    for vector in card.vectors or ():
+        reach = readings[vector.column].region.half_widths
+        cells |= {f"joint_half_width:{p}": r for p, r in zip(vector.columns, reach, strict=True)}
+    for named in card.classes or ():
+        cells[f"estimate:{named.column}"] = readings[named.column].value
+        cells[f"set:{named.column}"] = SEPARATOR.join(readings[named.column].members)
+    return cells
+
+
+def _own(card: Card, readings: Readings) -> dict[str, Any]:
+    """Whether a frame told something valid, and all of it, whether it drifted, and why not."""
+    each = [(readings[t.column], t) for t in card.targets]
+    named = [readings[one.column] for one in card.classes or ()]
+    of_read = [*(one for one, t in each if not t.is_never_valid), *named]
+    told = [one for one, t in each if not untold(t, one.low, one.high)]
+    told += [one for one in named if 0 < len(one.members) < len(one.classes)]
+    said = told or [*(one for one, _ in each), *named]
+    why = "; ".join(sorted({one.why for one in said if one.why}))
+    return {
+        "valid": not why,
+        "why": why,
+        "all_valid": bool(of_read) and all(one.valid for one in of_read),
+        "drifted": any(one.drift is not None and one.drift.drifted for one in readings.values()),
     }
-    return with_own(table, own), spread, valid
-
-
-CLASS_KINDS = ("estimate", "set")  # of a label of classes, before the colon of its columns in `predictions`
 
 
 def _read_rows(card: Card, table: pd.DataFrame) -> np.ndarray:

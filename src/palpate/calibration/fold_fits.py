@@ -12,6 +12,7 @@ from scipy.stats import ks_2samp
 
 from palpate.calibration.calibration_job import CalibrationJob
 from palpate.calibration.calibration_plan import CalibrationPlan
+from palpate.calibration.classes import target_values
 from palpate.calibration.confounds.skin_region import (
     DecidingPixels,
     deciding_pixels,
@@ -25,9 +26,10 @@ from palpate.core.parsing import parser
 from palpate.core.plugins import ERROR, plugin_calls
 from palpate.estimators.class_sets import Outputs
 from palpate.estimators.networks import MODELS, model_kind
-from palpate.estimators.networks.distributed import ProcessGroup
-from palpate.estimators.networks.model_interface import Fitted, Model, TimeBoxed, predict_rows, refuse_unfit
+from palpate.estimators.networks.model_interface import Fitted, Model, predict_rows, refuse_unfit
 from palpate.recordings import Split
+
+KEPT = "the model that is kept"
 
 
 class ScoredModel(NamedTuple):
@@ -36,7 +38,7 @@ class ScoredModel(NamedTuple):
     Attributes:
         held_out: outputs ``[n o]``; NaN where a row was in no scored fold.
         fitted: trained on all rows or, with one scored fold, the scored model itself.
-        pixels: deciding pixels; None in other processes.
+        pixels: deciding pixels; None where none was kept.
     """
 
     held_out: Outputs
@@ -50,32 +52,28 @@ class FoldFits:
 
     Attributes:
         work: folder of finished folds.
-        processes: those that train together; the first writes.
     """
 
     job: CalibrationJob
     model: Model
     work: Path
     progress: Progress
-    processes: ProcessGroup
 
-    def scored(self, count: int, alone: int) -> ScoredModel:
-        """Hold out so many folds, or `alone` where that is one, and fit the model that is kept."""
-        fits = count + 1 if count > 1 else 1
-        if isinstance(self.model, TimeBoxed):
-            return replace(self, model=self.model.shared_among(fits))._scored(count, alone)
-        return self._scored(count, alone)
-
-    def _scored(self, count: int, alone: int) -> ScoredModel:
-        what, seed = "the model that is kept", self.job.plan.seed
+    def scored(self) -> ScoredModel:
+        """Hold out the folds to score, and fit the model that is kept."""
+        job, plan = self.job, self.job.plan
+        count = folds_to_score(plan, job.parts)
         if count == 1:
-            fitted = self.fit("kept", what, self.job.parts.training_rows(alone), seed)
+            values = job.outputs.values if plan.classes else job.data.values
+            if plan.fold_by:
+                values = target_values(job.table, plan.fold_by, "fold_by", constant=True)
+            alone = representative_fold(job.parts, values)
+            fitted = self.fit("kept", KEPT, job.parts.training_rows(alone), plan.seed)
             held_out = self._gathered([(alone, self.estimates(fitted, alone))])
-            pixels = self._pixels(fitted, alone, 1) if self.processes.first else None
-            return ScoredModel(held_out, fitted, pixels)
+            return ScoredModel(held_out, fitted, self._pixels(fitted, alone, 1))
         held_out = self._gathered((k, self.held_out(k, count)) for k in range(count))
         maps = [DecidingPixels.kept(self._map_file(k)) for k in range(count)]
-        fitted = self.fit("kept", what, np.arange(len(self.job.outputs.values)), seed)
+        fitted = self.fit("kept", KEPT, np.arange(len(job.outputs.values)), plan.seed)
         return ScoredModel(
             held_out, fitted, DecidingPixels.joined([part for part in maps if part is not None])
         )
@@ -92,7 +90,6 @@ class FoldFits:
         Args:
             mapped: number of folds in the map of deciding pixels; 0 makes none.
         """
-        # All processes see the same here: the first writes it after they have trained this fold together.
         file_path = self.work / f"fold-{k}.npy"
         kept = _read_fold(file_path, (len(self.job.parts.folds[k]), self.job.outputs.values.shape[1]))
         if kept is not None:
@@ -100,12 +97,11 @@ class FoldFits:
         what = f"fold {k + 1} of {len(self.job.parts.folds)}"
         fitted = self.fit(f"fold-{k}", what, self.job.parts.training_rows(k), self.job.plan.seed + k + 1)
         outputs = self.estimates(fitted, k)
-        if self.processes.first:
-            if mapped:
-                self._pixels(fitted, k, mapped).keep(self._map_file(k))
-            file_path.unlink(missing_ok=True)
-            with new_file(file_path) as path, path.open("wb") as file:
-                np.save(file, outputs)
+        if mapped:
+            self._pixels(fitted, k, mapped).keep(self._map_file(k))
+        file_path.unlink(missing_ok=True)
+        with new_file(file_path) as path, path.open("wb") as file:
+            np.save(file, outputs)
         return outputs
 
     def fit(self, name: str, what: str, rows: Indices, seed: int) -> Fitted:
@@ -170,11 +166,6 @@ def representative_fold(parts: Split, values: Values) -> int:
     """
     gaps = [sum(ks_2samp(v[rows], v).statistic for v in values.T) for rows in parts.folds]
     return int(np.argmin(gaps))
-
-
-def fold_count(plan: CalibrationPlan) -> int:
-    """Return the number of folds: five, or eight for a costly model."""
-    return plan.folds or (8 if model_kind(plan.model).costly else 5)
 
 
 def folds_to_score(plan: CalibrationPlan, parts: Split) -> int:

@@ -13,14 +13,15 @@ import pandas as pd
 from sklearn.neighbors import NearestNeighbors
 
 from palpate.calibration.near_copies import NearCopies, find_near_copies
-from palpate.core import has_unit, split_column
+from palpate.core import InputError, has_unit, split_column
 from palpate.estimators.findings import Finding, FindingCode
 from palpate.recordings.label_tables import label_kinds
 from palpate.recordings.packed_set import PackedSet
 from palpate.recordings.run_reader import NAME_COLUMN
-from palpate.recordings.splits import Split, conventional_groups, group_names, within_session
+from palpate.recordings.splits import SESSION, Split, conventional_groups, group_names, within_session
 
 _THUMB_PX = 16
+_MAX_COPIES = 0.05  # ratio of a session's frames that may equal another's, as of a dark sensor
 # Two frames of one scene: their difference at half a cell over its second differences', and what a lamp's
 # flicker and compression add [grey levels].
 _NOISE_ROOM, _UNEVEN = 1.5, 0.4
@@ -94,15 +95,15 @@ def audit(
 ) -> LeakageAudit:
     """Find groups and frames that are on both sides of a split.
 
-    Near-duplicates have 16 × 16 thumbnails that differ by at most the camera noise, which is estimated from
-    the most similar frames.
+    Near-duplicates have 16 × 16 thumbnails that differ by at most the estimated camera noise.
 
     Args:
         group_columns: by default the conventional ones and every text column in which a text recurs.
         at_rest: no-contact rows ``[n]``; by default by a flag ``contact`` or a depth and force of 0.
         classes: columns that the model predicts, which are on both sides as any target is.
     """
-    table = packed.table
+    table, digests = packed.table, _digests(packed)
+    _refuse_copied_sessions(table, split.group_columns, digests)
     shared = {name: _shared(groups, split) for name, groups in _groupings(table, group_columns)}
     shared = {name: groups for name, groups in shared.items() if groups.size and name not in classes}
     thumbs = _thumbnails(packed)
@@ -118,7 +119,7 @@ def audit(
         same = same[np.isin(held[same], copies.lone)]
     agreeing = _labels_agree(table, copies.held, copies.twin)
     altered = dict(zip(copies.held[agreeing].tolist(), copies.twin[agreeing].tolist(), strict=True))
-    equal = _equal_pairs(packed, split, at_rest_or_alike)
+    equal = _equal_pairs(digests, split, at_rest_or_alike)
     same_pairs = dict(zip(held[same].tolist(), twin[same].tolist(), strict=True)) | equal
     pairs_found = altered | same_pairs
     sides = np.array(sorted(equal.items()), np.int64).reshape(-1, 2).T
@@ -218,9 +219,32 @@ def _nearest_across(
     return np.concatenate(held), np.concatenate(twin), pairs
 
 
-def _equal_pairs(packed: PackedSet, split: Split, resting: np.ndarray) -> dict[int, int]:
+def _digests(packed: PackedSet) -> list[bytes]:
     batches = packed.batches(np.arange(len(packed)), _BATCH)
-    digests = [sha256(frame.tobytes()).digest() for batch in batches for frame in batch]
+    return [sha256(frame.tobytes()).digest() for batch in batches for frame in batch]
+
+
+def _refuse_copied_sessions(table: pd.DataFrame, columns: Sequence[str], digests: list[bytes]) -> None:
+    """Raise `InputError` where sessions are held out and the frames of one equal another's."""
+    if SESSION not in columns or SESSION not in table:
+        return
+    sessions = group_names(table, (SESSION,))
+    seen: dict[bytes, set[str]] = {}
+    for digest, session in zip(digests, sessions, strict=True):
+        seen.setdefault(digest, set()).add(session)
+    for session in np.unique(sessions):
+        own = [digest for digest, of in zip(digests, sessions, strict=True) if of == session]
+        for other in sorted(set(sessions) - {session}):
+            copies = sum(other in seen[digest] for digest in own)
+            if copies > _MAX_COPIES * len(own) and copies > 1:
+                raise InputError(
+                    f"{copies} of {len(own)} frames of session {session} equal frames of {other}. Give one "
+                    "session once, or under one name",
+                    code="session-twice",
+                )
+
+
+def _equal_pairs(digests: list[bytes], split: Split, resting: np.ndarray) -> dict[int, int]:
     rows_of: dict[bytes, list[int]] = {}
     for row in np.flatnonzero(~resting).tolist():
         rows_of.setdefault(digests[row], []).append(row)

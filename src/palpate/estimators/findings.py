@@ -21,7 +21,6 @@ class FindingCode(StrEnum):
 
     ROWS_SHIFTED = "rows-shifted"
     OUTSIDE_DRIFTS = "outside-drifts"
-    OUTSIDE_LIT = "outside-lit"
     BURNT_IN = "burnt-in"
     ORDER_DRIFTS = "order-drifts"
     ORDER_UNCHECKED = "order-unchecked"
@@ -29,7 +28,6 @@ class FindingCode(StrEnum):
     ORDER_NEIGHBORS = "order-neighbors"
     ORDER_UNKNOWN = "order-unknown"
     ORDER_OF_FEW = "order-of-few"
-    BLOCKS_EXTRAPOLATE = "blocks-extrapolate"
     FUNCTION = "function"
     CONTRADICTING_LABELS = "contradicting-labels"
     ALTERED_COPIES = "altered-copies"
@@ -41,7 +39,6 @@ class FindingCode(StrEnum):
     CONSTANT_IN_SESSION = "constant-in-session"
     UNIT_OF_SESSION = "unit-of-session"
     RUNS_WITHOUT_SESSION = "runs-without-session"
-    SESSIONS_ALIKE = "sessions-alike"
     SESSIONS_COPIED = "sessions-copied"
     SESSION_TELLS_TARGET = "session-tells-target"
 
@@ -54,16 +51,11 @@ class _Words(NamedTuple):
 
 _AGAIN = "calibrate again, and compare both by `palpate evaluate` on another session"
 _CROP = f"cut it away by `--crop {{crop}}`, {_AGAIN}"
-_OUTSIDE = (
-    "what lies outside the skin predicts {name} by itself: R² {folds:.2f} on the calibration's folds, "
-    "{blocks:.2f} on short blocks of time; the model has {model:.2f} from the whole image"
-)
 _ORDER = (
     "{name} follows the {scale} of the rows: a smooth function of it explains {share:.0%} of the variance "
     "(rank correlation {rank:+.2f}; {level:.1%} of shuffled {units} do as well)"
 )
 _SHUFFLE = "record presses in random order, with a label press"
-_ONE_SESSION = "this may be one session under two names, which tests no other day"
 
 _WORDS: dict[FindingCode, _Words] = {
     FindingCode.ROWS_SHIFTED: _Words(
@@ -74,14 +66,15 @@ _WORDS: dict[FindingCode, _Words] = {
     ),
     FindingCode.OUTSIDE_DRIFTS: _Words(
         "fails",
-        f"{_OUTSIDE}. {{name}} follows the order of the rows, so a drift may predict it in place of touch",
+        "what lies outside the skin predicts {name} by itself: R² {folds:.2f} on the calibration's folds, "
+        "{blocks:.2f} on short blocks of time; the model has {model:.2f} from the whole image. {name} "
+        "follows the order of the rows, so a drift may predict it in place of touch",
         _CROP,
     ),
-    FindingCode.OUTSIDE_LIT: _Words("notes", f"{_OUTSIDE}. Rows are in no order: presses light it", _CROP),
     FindingCode.BURNT_IN: _Words(
         "fails",
-        "one small location at the border predicts {name} by itself (R² {share:.2f}, model {model:.2f}), and "
-        "those around it do not (R² {around:.2f}): is the label, a text or a bar, burnt into the image?",
+        "{share:.0%} of the pixels that decide {name} lie outside the skin, or in a corner: is the label, a "
+        "text or a bar, burnt into the image?",
         _CROP,
     ),
     FindingCode.ORDER_DRIFTS: _Words(
@@ -109,12 +102,6 @@ _WORDS: dict[FindingCode, _Words] = {
         "notes",
         "order was not tested: {count} {units} in {sessions} sessions lie in any order too often by chance",
         "record 6 or more presses in a session, in random order, with a label press",
-    ),
-    FindingCode.BLOCKS_EXTRAPOLATE: _Words(
-        "warns",
-        "each block holds out a part of the range of {name} that was not trained on: its scores measure "
-        "extrapolation",
-        "use shorter blocks (`--split blocks:ROWS`)",
     ),
     FindingCode.FUNCTION: _Words(
         "warns",
@@ -172,11 +159,10 @@ _WORDS: dict[FindingCode, _Words] = {
         "{runs} have no label session, and each counts as a session of its own name next to labeled runs",
         "label session in every run",
     ),
-    FindingCode.SESSIONS_ALIKE: _Words(
-        "warns", f"frames of sessions {{pairs}} do not differ more than presses do: {_ONE_SESSION}"
-    ),
     FindingCode.SESSIONS_COPIED: _Words(
-        "warns", f"{{count}} of {{held}} frames equal frames of another session: {_ONE_SESSION}"
+        "warns",
+        "{count} of {held} frames equal frames of another session: this may be one session under two names, "
+        "which tests no other day",
     ),
     FindingCode.SESSION_TELLS_TARGET: _Words(
         "warns",
@@ -240,7 +226,6 @@ class TargetConfoundCard(CardPart):
         order_level: Ratio of shufflings of whole presses (or rows) within their session that do as well.
         outside_r2, outside_r2_blocks: R² of the image outside the skin, on the folds and on short interleaved
             blocks.
-        inside_r2: R² of the skin by the same kind of regression.
         neighbors_r2: R² of the training rows nearest in order; None for grouped or unordered rows.
     """
 
@@ -251,7 +236,6 @@ class TargetConfoundCard(CardPart):
     model_r2: float
     outside_r2: float | None
     outside_r2_blocks: float | None
-    inside_r2: float | None
     neighbors_r2: float | None
 
 

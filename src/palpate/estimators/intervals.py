@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -22,7 +23,6 @@ from palpate.core import (
 from palpate.core.reading import Ellipsoid, provenance
 from palpate.estimators.class_sets import Outputs, TargetLayout
 from palpate.estimators.model_card import Card, CellsCard, InstrumentCard, TargetCard, VectorCard
-from palpate.estimators.reading_steps import joint_reach
 
 Row = Float[np.ndarray, " n"]
 
@@ -228,6 +228,21 @@ def mahalanobis(
     """
     solved = np.linalg.solve(correlation, scaled.T).T
     return np.sqrt(np.maximum(np.sum(scaled * solved, axis=1), 0.0))
+
+
+@cache
+def joint_reach(components: int, coverage: float) -> float:
+    """Return the radius of the ball that holds several standard normal errors with a coverage.
+
+    It is the quantile of the chi distribution (JCGM 102:2011, doi:10.59161/JCGM102-2011).
+
+    Example:
+        >>> [round(joint_reach(k, 0.9), 4) for k in (1, 2, 3)]
+        [1.6449, 2.146, 2.5003]
+    """
+    from scipy.special import chdtri  # here, since few cards need it, and sensing starts without scipy
+
+    return float(chdtri(components, 1 - coverage)) ** 0.5
 
 
 def vector_reading(

@@ -21,7 +21,6 @@ from palpate.estimators.findings import (
     SessionsCard,
     TrainingCard,
 )
-from palpate.estimators.reading_steps import StepsCard, reading_steps
 from palpate.recordings.preparation import Preparation
 
 FORMAT = "palpate-calibration/1"
@@ -342,6 +341,34 @@ class SplitCard(CardPart):
         return "; ".join(one.text for one in self.findings)
 
 
+# Rules of the steps from pixels to a reading, which `docs/how-to/read-without-palpate.md` follows. The second
+# is that of cards whose labels' instruments widen readings, the third that of cards with a lens.
+RULE, RULE_OF_INSTRUMENTS, RULE_OF_LENSES = "palpate-steps/1", "palpate-steps/2", "palpate-steps/3"
+
+
+class StepsCard(CardPart):
+    """Constants of the steps from a camera's pixels to a reading, for independent readers.
+
+    Attributes:
+        rule: Version of the steps; readers refuse unknown ones.
+        grey_weights, grey_rounding, grey_shift: (weights . (red, green, blue) + rounding) >> shift is gray:
+            ITU-R BT.601's 0.299, 0.587, and 0.114 in 1/32768, as OpenCV rounds them.
+        smaller, larger: OpenCV interpolation if no side grows, and if one does.
+        clip: Bound of the scaled outputs in the spread's terms.
+        min_spread, max_spread: Bounds of the spread in units of `TargetCard.typical`.
+    """
+
+    rule: str = RULE
+    grey_weights: tuple[int, int, int] = (9798, 19235, 3735)
+    grey_rounding: int = 16384
+    grey_shift: int = 15
+    smaller: str = "INTER_AREA"
+    larger: str = "INTER_LINEAR"
+    clip: float = 3.0
+    min_spread: float = 0.2
+    max_spread: float = 5.0
+
+
 class Card(SealedCard):
     """Calibration card; `id` is a hash of everything else. Fields that do not apply are None.
 
@@ -352,7 +379,7 @@ class Card(SealedCard):
         interval_reset: Rows of another session that set the intervals.
         copy_of: Sensor unit adapted to.
         choice: Models tried, and the one chosen.
-        steps: Steps from a camera's pixels to a reading.
+        steps: Constants of the steps from a camera's pixels to a reading.
     """
 
     added: ClassVar[tuple[str, ...]] = (
@@ -438,5 +465,7 @@ class Card(SealedCard):
 def sealed(content: Mapping[str, Any]) -> Card:
     """Return a card with its steps and id, from its content as keyword values."""
     told = Card(id="", **content)
-    unsealed = told.model_copy(update={"steps": reading_steps(told)})
+    measured = any(t.measured_by is not None and t.measured_by.half_width > 0 for t in told.targets)
+    rule = RULE_OF_LENSES if told.input.lens else RULE_OF_INSTRUMENTS if measured else RULE
+    unsealed = told.model_copy(update={"steps": StepsCard(rule=rule)})
     return unsealed.model_copy(update={"id": card_id(unsealed.model_dump(mode="json"))})

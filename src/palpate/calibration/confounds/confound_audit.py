@@ -12,7 +12,6 @@ from palpate.calibration.confounds.row_order import (
     OrderCheck,
     RecordedUnits,
     ShiftCheck,
-    extrapolates,
     folds_among,
     order_checks,
     recorded_units,
@@ -25,11 +24,9 @@ from palpate.calibration.confounds.skin_region import (
     DecidingPixels,
     RegionSource,
     SkinRegion,
-    TellingCell,
     boxed,
     find_skin,
-    outside_control,
-    telling_cells,
+    outside_shares,
 )
 from palpate.calibration.confounds.target_functions import (
     Kernels,
@@ -47,14 +44,7 @@ MAX_ROWS = 400  # rows that are tested, evenly spaced over the recording
 SMALL_PX = 64  # longer side of the images that are tested
 MIN_ROWS = 20
 MIN_OUTSIDE_SHARE, OUTSIDE_SHARE_PER_UNIT = 0.1, 4.0  # R² of the outside, and addend over the presses
-MIN_CELL_SHARE, CELL_SHARE_PER_UNIT = 0.3, 8.0  # the same of the best of some sixty locations
-MAX_AROUND = 0.5  # R² around a location, relative to its own, up to which it stands alone
-EXACT_SHARE, EXACT_ERROR = 0.98, 0.1  # R² of an exact location, and its squared error over that around
-MIN_BORDER_SHARE = 0.5
-MORE_THAN_SKIN = 0.7  # squared error far from the skin over the skin's, too good for spread light
-BORDER_ERROR = 2.0  # squared error at the border over the model's, up to which it predicts as much
-# tried sizes of a crop over the skin's box
-SHRINKS, MAX_LEFT_OUTSIDE = (1.0, 0.95, 0.9, 0.85, 0.8, 0.75, 0.7), 0.01
+MIN_AWAY = 0.1  # ratio of what decides a reading outside the skin, above which it is no touch
 MAX_BY_NEIGHBORS = 0.5  # R² of the trained rows nearest in order, above which folds test nothing
 Box = tuple[int, int, int, int]
 
@@ -67,11 +57,9 @@ class TargetEvidence:
         column: target, or the name of one of a direction's two outputs.
         model: R² of the model's held-out estimates.
         outside, outside_blocks: R² of the outside on the calibration's folds and on short interleaved blocks.
-        far, inside: R² far from the skin, and of the skin.
-        cell: single location that predicts best; `cell_outside` states whether it lies outside the skin.
+        away: ratio of the deciding pixels outside the skin.
         label: its label column; empty where that is `column`.
         neighbors: R² of the trained rows nearest in order.
-        extrapolated: each fold holds out a part of the range that is not trained on.
     """
 
     column: str
@@ -79,13 +67,9 @@ class TargetEvidence:
     model: float
     outside: float | None = None
     outside_blocks: float | None = None
-    far: float | None = None
-    inside: float | None = None
-    cell: TellingCell | None = None
-    cell_outside: bool = False
+    away: float | None = None
     label: str = ""
     neighbors: float | None = None
-    extrapolated: bool = False
 
     @property
     def about(self) -> str:
@@ -110,7 +94,6 @@ class TargetEvidence:
             model_r2=self.model,
             outside_r2=self.outside,
             outside_r2_blocks=self.outside_blocks,
-            inside_r2=self.inside,
             neighbors_r2=self.neighbors,
         )
 
@@ -142,10 +125,10 @@ def audit_confounds(
     """
     rows = _AuditedRows.of(job, held_out)
     progress("looking for confounds", 0, 2)
-    shift, evidence = rows.shift(), rows.evidence()
+    shift, evidence = rows.shift(), rows.evidence(pixels)
     progress("looking for confounds", 1, 2)
     count, plain = rows.units.count, len(rows.columns)
-    crop = rows.crop([j for j, one in enumerate(evidence) if one.told_outside(count)])
+    crop = ",".join(map(str, rows.box)) if rows.box is not None else "X,Y,WIDTH,HEIGHT"
     functions = target_functions(
         rows.values[:, :plain], rows.names[:plain], rows.units.of, rows.columns or None
     )
@@ -164,7 +147,7 @@ def audit_confounds(
         targets=tuple(one.card for one in evidence),
         outside_share=float(region.outside.mean()) if region.has_outside else None,
         outside=region.source.value if region.has_outside else f"no outside: {_why_none(region)}",
-        skin_px=rows.in_frame(region.box) if region.has_outside and rows.one_view else None,
+        skin_px=rows.box,
         row_lag=shift.lag,
         map_file=MAP_FILE if shown else None,
         map_rows=pixels.rows if pixels is not None else None,
@@ -180,14 +163,12 @@ def target_confounds(evidence: TargetEvidence, units: int, crop: str, kind: str)
         kind: kind of the split.
     """
     order, told, found = evidence.order, evidence.told_outside(units), []
-    cell = _lone_cell(evidence, units)
-    if told and (order.follows or (cell is None and _better_than_the_skin(evidence))):
-        code = FindingCode.OUTSIDE_DRIFTS if order.follows else FindingCode.OUTSIDE_LIT
+    if told and order.follows:
         shares = {"folds": evidence.outside or 0.0, "blocks": evidence.outside_blocks or 0.0}
-        found.append(evidence.finding(code, **shares, model=evidence.model, crop=crop))
-    elif cell is not None:
-        shares = {"share": cell.share, "around": cell.around, "model": evidence.model}
-        found.append(evidence.finding(FindingCode.BURNT_IN, **shares, crop=crop))
+        finding = FindingCode.OUTSIDE_DRIFTS
+        found.append(evidence.finding(finding, **shares, model=evidence.model, crop=crop))
+    if evidence.away is not None and evidence.away > MIN_AWAY and not order.follows:
+        found.append(evidence.finding(FindingCode.BURNT_IN, share=evidence.away, crop=crop))
     found += _order_findings(evidence, told, kind)
     return found
 
@@ -211,31 +192,7 @@ def _order_findings(evidence: TargetEvidence, told: bool, kind: str) -> list[Fin
     elif by_neighbors:
         share = evidence.neighbors or 0.0
         found.append(evidence.finding(FindingCode.ORDER_NEIGHBORS, share=share, kind=kind))
-    if evidence.extrapolated:
-        found.append(evidence.finding(FindingCode.BLOCKS_EXTRAPOLATE))
     return found
-
-
-def _better_than_the_skin(evidence: TargetEvidence) -> bool:
-    """Light that a press spreads fades with distance and predicts less than the skin; a text may not."""
-    if evidence.inside is None or evidence.far is None:
-        return False
-    left = 1 - evidence.far
-    return left <= MORE_THAN_SKIN * (1 - evidence.inside) and left <= BORDER_ERROR * (1 - evidence.model)
-
-
-def _lone_cell(evidence: TargetEvidence, units: int) -> TellingCell | None:
-    cell, by_chance = evidence.cell, CELL_SHARE_PER_UNIT / units
-    if cell is None or cell.share < MIN_CELL_SHARE + by_chance:
-        return None
-    if cell.share >= EXACT_SHARE and 1 - cell.share <= EXACT_ERROR * (1 - cell.around):
-        return cell
-    if cell.around > MAX_AROUND * cell.share:
-        return None
-    as_the_model = cell.share >= MIN_BORDER_SHARE + by_chance and 1 - cell.share <= BORDER_ERROR * (
-        1 - evidence.model
-    )
-    return cell if as_the_model or evidence.cell_outside else None
 
 
 def order_not_tested(units: RecordedUnits) -> list[Finding]:
@@ -367,66 +324,41 @@ class _AuditedRows:
         )
         return SkinRegion(outside, inside, views[0].source)
 
-    def evidence(self) -> list[TargetEvidence]:
+    def evidence(self, pixels: DecidingPixels | None) -> list[TargetEvidence]:
         job, region = self.job, self.region
-        values, folds = self.values[self.chosen], folds_among(job.parts.folds, self.chosen)
         model = explained_share(self.values, self.held_out)
         orders = order_checks(self.values, self.units, job.packed.times_s)
         by_rows = job.parts.groups is None or job.parts.block_rows is not None
         in_turn = job.in_recorded_order and by_rows and not is_grouped(job.table)
-        evidence: list[TargetEvidence] = []
-        for name, label, order, r2, column in zip(
-            self.names, self.labels, orders, model, self.values.T, strict=True
-        ):
-            one = TargetEvidence(name, order, float(r2), label=label)
-            if in_turn and len(evidence) < len(self.columns):
-                one = replace(
-                    one,
-                    neighbors=told_by_neighbors(column, job.parts.folds),
-                    extrapolated=job.parts.block_rows is not None and extrapolates(column, job.parts.folds),
-                )
-            evidence.append(one)
-        if len(self.chosen) < MIN_ROWS:
+        evidence = [
+            TargetEvidence(name, order, float(r2), label=label)
+            for name, label, order, r2 in zip(self.names, self.labels, orders, model, strict=True)
+        ]
+        if in_turn:
+            for j in range(len(self.columns)):
+                told = told_by_neighbors(self.values[:, j], job.parts.folds)
+                evidence[j] = replace(evidence[j], neighbors=told)
+        if pixels is not None:
+            away = pixels.away_from_skin(region).tolist()
+            evidence = [replace(one, away=ratio) for one, ratio in zip(evidence, away, strict=True)]
+        if len(self.chosen) < MIN_ROWS or not region.has_outside:
             return evidence
-        if region.has_outside:
-            blocks = interleaved_blocks(self.units.of[self.chosen])
-            control = outside_control(self.images, region, values, folds, blocks)
-            evidence = [
-                replace(
-                    one,
-                    outside=float(control.folds[j]),
-                    outside_blocks=float(control.blocks[j]),
-                    far=_finite(control.far[j]),
-                    inside=_finite(control.inside[j]),
-                )
-                for j, one in enumerate(evidence)
-            ]
-        cells = telling_cells(self.images, region, values, folds)
+        folds, blocks = outside_shares(
+            self.images,
+            region,
+            self.values[self.chosen],
+            folds_among(job.parts.folds, self.chosen),
+            interleaved_blocks(self.units.of[self.chosen]),
+        )
         return [
-            replace(one, cell=cell, cell_outside=cell is not None and _is_outside(region, cell.box))
-            for one, cell in zip(evidence, cells, strict=True)
+            replace(one, outside=float(r2), outside_blocks=float(of_blocks))
+            for one, r2, of_blocks in zip(evidence, folds, blocks, strict=True)
         ]
 
-    def crop(self, told: list[int]) -> str:
-        if not self.one_view or not self.region.has_outside:
-            return "X,Y,WIDTH,HEIGHT"
-        x, y, width, height = box = self.region.box
-        for shrink in SHRINKS:
-            small = max(1, int(shrink * width)), max(1, int(shrink * height))
-            box = (x + (width - small[0]) // 2, y + (height - small[1]) // 2, *small)
-            if not told or self._is_silent(box, told):
-                break
-        return ",".join(map(str, self.in_frame(box)))
-
-    def _is_silent(self, box: Box, told: list[int]) -> bool:
-        x, y, width, height = box
-        beyond = ~self.region.inside[y : y + height, x : x + width]
-        if beyond.mean() <= MAX_LEFT_OUTSIDE:
-            return True
-        pixels = self.images[:, y : y + height, x : x + width][:, beyond].reshape(len(self.images), -1)
-        values, folds = self.values[self.chosen][:, told], folds_among(self.job.parts.folds, self.chosen)
-        shares = explained_share(values, Kernels.of(pixels).held_out(values, folds))
-        return bool(shares.max() < MIN_OUTSIDE_SHARE + OUTSIDE_SHARE_PER_UNIT / self.units.count)
+    @property
+    def box(self) -> Box | None:
+        """The box around the skin [px of the recorded frame]; None where there is no outside."""
+        return self.in_frame(self.region.box) if self.region.has_outside and self.one_view else None
 
     def _scale(self) -> tuple[int, int, float, float]:
         height, width = self.images.shape[1:3]
@@ -447,12 +379,3 @@ class _AuditedRows:
         left, top = max(0, int(np.ceil((x - x0) / across))), max(0, int(np.ceil((y - y0) / down)))
         right, bottom = int((x + width - x0) / across), int((y + height - y0) / down)
         return left, top, max(1, right - left), max(1, bottom - top)
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
-
-
-def _is_outside(region: SkinRegion, box: Box) -> bool:
-    x, y, width, height = box
-    return bool(region.has_outside and region.outside[y : y + height, x : x + width].mean() > 0.5)

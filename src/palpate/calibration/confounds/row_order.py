@@ -315,9 +315,6 @@ def folds_among(folds: Sequence[Indices], rows: Indices) -> list[Indices]:
     return [found for fold in folds if (found := np.flatnonzero(np.isin(rows, fold))).size]
 
 
-MAX_GAP, MAX_GAPS = 0.01, 5.0  # median label gap to trained rows, relative to range and shuffled folds
-
-
 def told_by_neighbors(values: Float[np.ndarray, " n"], folds: Sequence[Indices]) -> float:
     """Return R² of a label interpolated between the trained rows nearest in order."""
     every, told = np.arange(len(values)), np.empty(len(values))
@@ -326,21 +323,3 @@ def told_by_neighbors(values: Float[np.ndarray, " n"], folds: Sequence[Indices])
         told[fold] = np.interp(fold, others, values[others])
     variance = float(np.var(values))
     return 1 - float(np.mean((told - values) ** 2)) / variance if variance > 0 else 0.0
-
-
-def label_gap(values: Float[np.ndarray, " n"], folds: Sequence[Indices]) -> float:
-    """Return the median distance from a held-out label to the nearest trained one, relative to the range."""
-    gaps = []
-    for fold in folds:
-        others = np.sort(np.delete(values, fold))
-        place = np.searchsorted(others, values[fold])
-        near = [others[np.clip(place + step, 0, len(others) - 1)] for step in (-1, 0)]
-        gaps.append(np.min(np.abs(np.stack(near) - values[fold]), axis=0))
-    return float(np.median(np.concatenate(gaps))) / max(float(np.ptp(values)), np.finfo(float).tiny)
-
-
-def extrapolates(values: Float[np.ndarray, " n"], folds: Sequence[Indices]) -> bool:
-    """Return whether each block holds out a part of the range that is not trained on."""
-    shuffled = np.array_split(np.random.default_rng(0).permutation(len(values)), len(folds))
-    gap = label_gap(values, folds)
-    return gap > MAX_GAP and gap > MAX_GAPS * label_gap(values, shuffled)

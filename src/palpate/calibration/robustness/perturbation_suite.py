@@ -21,14 +21,17 @@ from palpate.calibration.coverage.range_scores import (
     shortest,
     uninformative_width,
 )
+from palpate.calibration.fold_fits import passed_errors
 from palpate.calibration.robustness.perturbations import KINDS, kinds_for, perturbed
 from palpate.core import Bool, Float, Image, Indices, Int, Progress, Shaped, Tensor, UInt8, Values, silent
+from palpate.core.plugins import ERROR, plugin_calls
 from palpate.estimators.certified import Estimator, checked_file
 from palpate.estimators.class_sets import Outputs, TargetLayout
 from palpate.estimators.findings import PerturbationCard, RobustnessCard
 from palpate.estimators.guard import (
     MAX_HARM,
     ChangeExamples,
+    LearnsFromRendered,
     NoveltyDetector,
     Registration,
     RenderedImages,
@@ -440,25 +443,31 @@ def former_frames(estimator: Estimator) -> RenderedImages:
     return RenderedImages(kept, np.arange(len(kept)) // TOGETHER)
 
 
-def adapted_guard(
-    suite: Suite, former: RenderedImages, progress: Progress = silent
+def guard_of(
+    suite: Suite, progress: Progress = silent, former: RenderedImages | None = None
 ) -> tuple[NoveltyDetector, RobustnessCard]:
-    """Return the guard of a calibration adapted to another sensor unit or session, with its card.
-
-    The new frames set its limits and test camera changes anew; the former ones are kept if they are similar.
+    """Return the guard of a calibration, tested on camera changes, with its card.
 
     Args:
-        suite: new frames, with outputs of the network for them.
-        former: thumbnails that the former guard keeps.
+        suite: frames, with held-out outputs of the network.
+        former: thumbnails that the guard of an adapted calibration keeps; they are kept if they are similar.
+            None for a new calibration, where images that the model rendered take their place.
     """
-    job = suite.job
+    job, fitted = suite.job, suite.fitted
     progress("learning what frames look like", 0, 1)
     thumbs = job.thumbnails()
+    rendered = fitted.rendered_images if isinstance(fitted, LearnsFromRendered) else None
+    also = rendered if former is None else former
     detector = fit_novelty_detector(
-        thumbs, job.folds_of_whole(), thumbs[job.untouched.rows], also=former, seed=job.plan.seed
+        thumbs, job.folds_of_whole(), thumbs[job.untouched.rows], also=also, seed=job.plan.seed
     )
     progress("learning what frames look like", 1, 1)
-    return try_changes(replace(suite, job=replace(job, parts=_in_few_folds(job.parts))), detector, progress)
+    if former is not None:
+        suite = replace(suite, job=replace(job, parts=_in_few_folds(job.parts)))
+    with plugin_calls(
+        f"model {job.plan.model}: predict failed on a changed frame ({ERROR})", passed_errors(job.plan)
+    ):
+        return try_changes(suite, detector, progress)
 
 
 def _in_few_folds(parts: Split) -> Split:

@@ -31,11 +31,11 @@ import tempfile
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from scipy.stats import beta, norm, t as student
 from sklearn.model_selection import GroupKFold
 
@@ -48,22 +48,8 @@ from palpate.calibration.calibration_job import (
     table_to_learn,
 )
 from palpate.calibration.calibration_plan import CalibrationPlan
-from palpate.calibration.certificate import (
-    PREDICTIONS_FILE,
-    instrument_card,
-    interval_fields,
-    made_fields,
-    most_missed,
-    run_card,
-    write_picture,
-)
-from palpate.calibration.classes import (
-    ClassLabels,
-    HeldOutClasses,
-    held_out_classes,
-    known_codes,
-    target_values,
-)
+from palpate.calibration.certificate import CalibrationResult, run_card, target_cards, write_certificate
+from palpate.calibration.classes import ClassLabels, held_out_parts, known_codes, target_values
 from palpate.calibration.coverage.conformal import fit_spread, parts_by_group, spread_terms
 from palpate.calibration.coverage.grouped_rates import (
     grouped_coverage_interval,
@@ -72,32 +58,22 @@ from palpate.calibration.coverage.grouped_rates import (
     rank_of_new_group,
     weighted_quantile,
 )
-from palpate.calibration.coverage.range_scores import range_cards
-from palpate.calibration.evaluation import predictions, rows_to_score, same_session, score, zeros_of
+from palpate.calibration.evaluation import same_session, zeros_of
 from palpate.calibration.robustness.perturbation_suite import (
     CertifiedModel,
     Suite,
-    adapted_guard,
     former_frames,
+    guard_of,
 )
-from palpate.core import Float, InputError, PathText, Progress, Values, new_folder, refuse_existing, silent
-from palpate.estimators.certified import CARD_FILE, Estimator, checked_file
-from palpate.estimators.class_sets import ClassCard, ClassOutputs, Outputs, TargetLayout
+from palpate.core import Float, InputError, PathText, Progress, Values, refuse_existing, silent
+from palpate.estimators.certified import Estimator, checked_file
+from palpate.estimators.class_sets import Outputs, TargetLayout
 from palpate.estimators.findings import IntervalResetCard, RobustnessCard, SessionsCard
 from palpate.estimators.guard import NoveltyDetector
-from palpate.estimators.intervals import Intervals, intervals_of, layout_of, mahalanobis, within
-from palpate.estimators.model_card import (
-    Card,
-    InstrumentCard,
-    RangeCard,
-    ScoreCard,
-    TargetCard,
-    VectorCard,
-    sealed,
-)
+from palpate.estimators.intervals import Intervals, intervals_of, mahalanobis
+from palpate.estimators.model_card import Card, RangeCard, SplitCard, TargetCard, VectorCard
 from palpate.recordings import Run, Split, pack
 from palpate.recordings.joined_runs import check_instruments, sessions_of
-from palpate.recordings.label_tables import with_own, write_table
 from palpate.recordings.manifest import ReferenceInstrument
 
 FOLDS_OF_GUARD = 10
@@ -181,84 +157,47 @@ def reset_intervals(
     refuse_existing(out)
     started = time.monotonic()
     estimator = Estimator.open(folder)
-    check_instruments(run, estimator.card.columns, instruments or {})
-    stated = run.manifest.instruments | dict(instruments or {})
-    rows = _SessionRows.read(estimator, run, progress)
-    intervals = intervals_set_anew(intervals_of(estimator.card), rows.outputs, rows.true, rows.groups)
-    halves = _half_turns_at_most(intervals, intervals.half_widths(rows.outputs))
-    classes = _classes(estimator.card, rows)
-    with new_folder(out) as building:
-        shutil.copyfile(checked_file(folder, estimator.card.model), building / "model.onnx")
-        if (copies := estimator.card.copy_of) is not None and copies.file is not None:
-            shutil.copyfile(checked_file(folder, copies.file), building / copies.file.file)
-        detector, robustness = _guard(estimator, run, intervals, out, progress)
-        detector.save(building / "guard.npz")
-        table = with_own(
-            rows.table, {"row": rows.rows, "frame": rows.names, "held_out_in_fold": 0 * rows.rows}
-        )
-        for j, column in enumerate(estimator.card.columns):
-            estimate, half = rows.predicted[:, j], halves[:, j]
-            table[f"half_width:{column}"] = half
-            table[f"low:{column}"], table[f"high:{column}"] = estimate - half, estimate + half
-        if classes is not None:
-            table = classes.with_answers(table, np.arange(len(table)))
-        write_table(table, building / PREDICTIONS_FILE)
-        _write_pictures(folder, building, estimator.card, run, rows)
-        cards = None if classes is None else classes.cards
-        seconds = time.monotonic() - started
-        card = _card(estimator.card, building, run, rows, stated, intervals, cards, robustness, seconds)
-        (building / CARD_FILE).write_text(card.model_dump_json(indent=1))
-        Estimator.open(building)
-    return card
-
-
-@dataclass(frozen=True, slots=True)
-class _SessionRows:
-    """Rows of the new session, as the calibration reads them.
-
-    Attributes:
-        rows: of the run ``[n]``, without no-contact rows.
-        outputs, of_classes: of the network for the targets ``[n o]`` and for classes ``[n k]``.
-        columns: label columns that name a group; none where each row is its own.
-    """
-
-    session: str
-    rows: np.ndarray
-    names: list[str]
-    table: pd.DataFrame
-    outputs: Outputs
-    of_classes: ClassOutputs
-    predicted: Values
-    true: Values
-    columns: tuple[str, ...]
-    groups: np.ndarray
-
-    @property
-    def count(self) -> int:
-        return len(np.unique(self.groups))
-
-    @classmethod
-    def read(cls, estimator: Estimator, run: Run, progress: Progress) -> _SessionRows:
-        card = estimator.card
-        session = _new_session(estimator, run)
-        rows = rows_to_score(card, run.labels)
-        labels = run.labels.iloc[rows].reset_index(drop=True)
-        true = target_values(labels, card.columns, str(run.path))
-        for one in card.classes or ():
-            known_codes(labels, one.column, one.values, str(run.path))
-        groups = groups_within(labels)
-        _check_count(len(np.unique(groups)), len(rows), card.coverage, run)
-        refuse_other_size(run, card, rows.tolist())
-        read = predictions(estimator, run, progress=progress)
-        table = labels.assign(**{str(name): read[name] for name in read if str(name).startswith("estimate:")})
-        zeros, layout = zeros_of(estimator, run), layout_of(card)
-        every = np.concatenate([estimator.outputs(run.frame(int(row)), zeros.get(int(row))) for row in rows])
-        outputs, of_classes = np.split(every, [layout.outputs], axis=1)
-        names = [run.frame(int(row)).name for row in rows]
-        return cls(
-            session, rows, names, table, outputs, of_classes, layout.decoded(outputs), true,
-            finest_columns(labels), groups,
+    card = estimator.card
+    check_instruments(run, card.columns, instruments or {})
+    session = _new_session(estimator, run)
+    plan = CalibrationPlan.of_card(
+        card, rule_in_run(card, run), instruments=run.manifest.instruments | dict(instruments or {})
+    )
+    with tempfile.TemporaryDirectory(prefix=f".{out.name}.", suffix=".work", dir=out.parent) as work:
+        job = _job(card, run, plan, Path(work))
+        zeros = zeros_of(estimator, run)
+        every = [estimator.outputs(run.frame(int(row)), zeros.get(int(row))) for row in job.rows]
+        outputs, classes = held_out_parts(job.classes, np.concatenate(every), job.data.groups, plan)
+        intervals = intervals_set_anew(intervals_of(card), outputs, job.data.values, job.data.groups)
+        # Changed frames are compared with unchanged ones of the job, whose no-contact image is not rounded.
+        known = [estimator.values(inputs) for _, inputs in job.data.batches(np.arange(len(job.rows)))]
+        known_outputs = np.concatenate(known)[:, : plan.layout.outputs]
+        suite = Suite(job, known_outputs, CertifiedModel(estimator), intervals)
+        detector, robustness = _guard(estimator, suite, progress)
+        result = CalibrationResult(
+            job, None, outputs, intervals, suite.fitted, detector, time.monotonic() - started, robustness,
+            classes=classes,
         )  # fmt: skip
+        more = partial(_fields, result, estimator, session)
+        return write_certificate(result, out, former=card, split=_split(card, job, session), more=more)
+
+
+def _job(card: Card, run: Run, plan: CalibrationPlan, work: Path) -> CalibrationJob:
+    """Rows of the new session, without no-contact rows; whole groups of them are the folds of the guard."""
+    table = table_to_learn(run.labels, plan)
+    target_values(table, card.columns, str(run.path))
+    labels = tuple(
+        ClassLabels(c.column, c.values, c.names, known_codes(table, c.column, c.values, str(run.path)))
+        for c in card.classes or ()
+    )
+    groups = groups_within(table)
+    _check_count(len(np.unique(groups)), len(table), card.coverage, run)
+    refuse_other_size(run, card, range(len(run)))
+    count = min(FOLDS_OF_GUARD, len(np.unique(groups)))
+    folds = tuple(held for _, held in GroupKFold(count).split(groups, groups=groups))
+    parts = Split("session", finest_columns(table), groups, folds, "whole groups of the new session")
+    whole = pack(run, work / "packed", card.input.preparation)
+    return CalibrationJob.of(run, plan, parts, whole, labels)
 
 
 def _new_session(estimator: Estimator, run: Run) -> str:
@@ -287,17 +226,12 @@ def _check_count(groups: int, rows: int, coverage: float, run: Run) -> None:
     )
 
 
-def _guard(
-    estimator: Estimator, run: Run, intervals: Intervals, beside: Path, progress: Progress
-) -> tuple[NoveltyDetector, RobustnessCard]:
+def _guard(estimator: Estimator, suite: Suite, progress: Progress) -> tuple[NoveltyDetector, RobustnessCard]:
     """A guard that knows the frames of all sessions; this one sets its limits and tests camera changes."""
-    former = NoveltyDetector.load(checked_file(estimator.folder, estimator.card.guard))
-    prefix = f".{beside.name}."
-    with tempfile.TemporaryDirectory(prefix=prefix, suffix=".work", dir=beside.parent) as work:
-        suite = _suite(estimator, run, intervals, Path(work))
-        detector, robustness = adapted_guard(suite, former_frames(estimator), progress)
+    detector, robustness = guard_of(suite, progress, former_frames(estimator))
     if len(suite.job.untouched.rows):
         return detector, robustness
+    former = NoveltyDetector.load(checked_file(estimator.folder, estimator.card.guard))
     detector = replace(
         detector,
         reference=former.reference,
@@ -307,117 +241,51 @@ def _guard(
     return detector, robustness
 
 
-def _suite(estimator: Estimator, run: Run, intervals: Intervals, work: Path) -> Suite:
-    card = estimator.card
-    whole = pack(run, work / "packed", card.input.preparation)
-    plan = CalibrationPlan.of_card(card, rule_in_run(card, run))
-    groups = groups_within(table_to_learn(run.labels, plan))
-    count = min(FOLDS_OF_GUARD, len(np.unique(groups)))
-    folds = tuple(held for _, held in GroupKFold(count).split(groups, groups=groups))
-    parts = Split("session", (), groups, folds, "whole groups of the new session")
-    job = CalibrationJob.of(run, plan, parts, whole)
-    outputs = [estimator.values(x) for _, x in job.data.batches(np.arange(len(groups)))]
-    held_out = np.concatenate(outputs)[:, : plan.layout.outputs]
-    return Suite(job, held_out, CertifiedModel(estimator), intervals)
-
-
-def _write_pictures(folder: Path, building: Path, card: Card, run: Run, rows: _SessionRows) -> None:
-    for part in card.files:
-        if part.file in ("example.png", "reference.png"):
-            shutil.copyfile(checked_file(folder, part), building / part.file)
-    span = np.array([target.greatest - target.least for target in card.targets])
-    if not len(span):
-        return
-    errors = layout_of(card).differences(rows.predicted, rows.true)
-    worst = most_missed(errors, span, [target.is_read for target in card.targets])
-    for row in rows.rows[worst].tolist():
-        write_picture(building / f"worst-{row}.png", card.input.preparation.apply(run.frame(row).image))
-
-
-def _card(
-    former: Card,
-    building: Path,
-    run: Run,
-    rows: _SessionRows,
-    instruments: Mapping[str, ReferenceInstrument],
-    intervals: Intervals,
-    classes: tuple[ClassCard, ...] | None,
-    robustness: RobustnessCard,
-    seconds: float,
-) -> Card:
-    halves = _half_turns_at_most(intervals, intervals.half_widths(rows.outputs))
-    errors, over_range = intervals.errors(rows.outputs, rows.true), _over_range(former, rows, intervals)
-    expected = ExpectedCoverage.of(rows.count, former.coverage)
-    targets = tuple(
-        target.model_copy(
-            update=interval_fields(intervals, j, over_range[j], _untold_width(target, former.coverage))
-            | {"score": _score(target, rows, j, halves[:, j], errors[:, j])}
-            | {"measured_by": _instrument(target, instruments, former.coverage)}
-        )
-        for j, target in enumerate(former.targets)
+def _split(former: Card, job: CalibrationJob, session: str) -> SplitCard:
+    return former.split.model_copy(
+        update={
+            "reason": f"{former.split.reason}; the intervals are of session {session}",
+            "columns": job.parts.group_columns,
+            "groups": len(np.unique(job.data.groups)),
+            "rows_scored": len(job.packed),
+        }
     )
-    reset = _reset_card(former, run, rows, expected)
-    changed: dict[str, Any] = {
-        "targets": targets,
-        "seconds": round(seconds, 1),
-        "interval_reset": reset,
-        "sessions": _sessions(former, rows, reset.text),
-        "robustness": robustness,
-        "confounds": None,  # it was of the former's frames
-        "vectors": former.vectors and tuple(_vector(v, former, rows) for v in former.vectors),
-        "classes": classes,
-        "split": former.split.model_copy(
-            update={
-                "reason": f"{former.split.reason}; the intervals are of session {rows.session}",
-                "columns": rows.columns,
-                "groups": rows.count,
-                "rows_scored": len(rows.rows),
-            }
+
+
+def _fields(result: CalibrationResult, estimator: Estimator, session: str, folder: Path) -> dict[str, Any]:
+    """Fields of the card that stay, and those of the session; the network stays to the last byte."""
+    former = estimator.card
+    shutil.copyfile(checked_file(estimator.folder, former.model), folder / "model.onnx")
+    if former.copy_of is not None and former.copy_of.file is not None:
+        copies = former.copy_of.file
+        shutil.copyfile(checked_file(estimator.folder, copies), folder / copies.file)
+    names = ("sensor", "agreement", "adapted_from", "run", "reference")
+    reset, (low, high) = _reset_card(former, result, session), result.intervals.ends(result.held_out)
+    targets = target_cards(result, result.intervals, (high - low) / 2, former.targets)
+    return {name: getattr(former, name) for name in names} | {
+        "targets": tuple(
+            _target(*pair, former.coverage) for pair in zip(former.targets, targets, strict=True)
         ),
+        "interval_reset": reset,
+        "sessions": _sessions(former, reset.text),
+        "vectors": former.vectors and tuple(_vector(v, former, result) for v in former.vectors),
     }
-    return sealed(former.model_dump(exclude={"id"}) | made_fields(building) | changed)
 
 
-def _instrument(
-    target: TargetCard, stated: Mapping[str, ReferenceInstrument], coverage: float
-) -> InstrumentCard | None:
-    """Instrument of the session's labels, which set the width; the former one where none is stated."""
-    return instrument_card(stated.get(target.column), coverage) or target.measured_by
-
-
-def _score(
-    target: TargetCard,
-    rows: _SessionRows,
-    j: int,
-    half: Float[np.ndarray, " n"],
-    error: Float[np.ndarray, " n"],
-) -> ScoreCard:
-    """Errors in the session, and the share held of the rows that set the width, as on any card."""
-    return score(
-        target.unit, rows.true[:, j], rows.predicted[:, j], half, target.training_mean, rows.groups,
-        inside=within(error, -half, half), period=target.period,
-    )  # fmt: skip
-
-
-def _half_turns_at_most(intervals: Intervals, halves: Values) -> Values:
-    """Half-widths ``[n t]``, none of a circular target beyond half its turn: nothing lies farther off."""
-    periods = (None,) * halves.shape[1] if intervals.layout is None else intervals.layout.periods
-    return np.minimum(halves, [np.inf if period is None else period / 2 for period in periods])
-
-
-def _over_range(former: Card, rows: _SessionRows, intervals: Intervals) -> list[RangeCard | None]:
-    """Where the range ends for the new intervals: as far as the former's rows or these usually go."""
-    ranges = [(target.least, target.greatest) for target in former.targets]
-    own = range_cards(intervals, rows.outputs, rows.true, rows.groups, ranges)
-    return [_farther(one, target.over_range) for one, target in zip(own, former.targets, strict=True)]
-
-
-def _untold_width(target: TargetCard, coverage: float) -> float | None:
-    """Width from which on an arc tells nothing: the network tells no more than it did, or as little."""
-    if target.circular is None:
-        return None
-    nothing = target.circular.untold_width == 0
-    return 0.0 if nothing else coverage * (target.greatest - target.least)
+def _target(former: TargetCard, one: TargetCard, coverage: float) -> TargetCard:
+    """The card of a target, whose range ends as far as the former's rows or these usually go."""
+    update: dict[str, Any] = {
+        "over_range": _farther(one.over_range, former.over_range),
+        # Instrument of the session's labels, which set the width; the former one where none is stated.
+        "measured_by": one.measured_by or former.measured_by,
+    }
+    if one.circular is not None and former.circular is not None:
+        # The network tells no more of an arc than it did, or as little.
+        nothing, arc = former.circular.untold_width == 0, former.greatest - former.least
+        update["circular"] = one.circular.model_copy(
+            update={"untold_width": 0.0 if nothing else coverage * arc}
+        )
+    return one.model_copy(update=update)
 
 
 def _farther(one: RangeCard | None, former: RangeCard | None) -> RangeCard | None:
@@ -430,49 +298,40 @@ def _farther(one: RangeCard | None, former: RangeCard | None) -> RangeCard | Non
     )
 
 
-def _vector(vector: VectorCard, former: Card, rows: _SessionRows) -> VectorCard:
+def _vector(vector: VectorCard, former: Card, result: CalibrationResult) -> VectorCard:
     at, own = [former.columns.index(part) for part in vector.columns], intervals_of(former)
-    scaled = own.errors(rows.outputs, rows.true) / own.spread.at(rows.outputs)
+    groups = result.data.groups
+    scaled = own.errors(result.held_out, result.data.values) / own.spread.at(result.held_out)
     correlation = np.array(vector.correlation)
-    radius = radius_set_anew(correlation, scaled[:, at], rows.groups, former.coverage)
+    radius = radius_set_anew(correlation, scaled[:, at], groups, former.coverage)
     inside = mahalanobis(scaled[:, at], correlation) <= radius
-    low, high = grouped_coverage_interval(inside, rows.groups)
+    low, high = grouped_coverage_interval(inside, groups)
     rate = {"covered": float(inside.mean()), "low": low, "high": high}
-    return vector.model_copy(update={"radius": radius, "n": len(rows.rows)} | rate)
+    return vector.model_copy(update={"radius": radius, "n": len(scaled)} | rate)
 
 
-def _classes(former: Card, rows: _SessionRows) -> HeldOutClasses | None:
-    if not former.classes:
-        return None
-    labels = tuple(
-        ClassLabels(c.column, c.values, c.names, known_codes(rows.table, c.column, c.values, rows.session))
-        for c in former.classes
-    )
-    return held_out_classes(labels, rows.of_classes, rows.groups, former.coverage)
-
-
-def _reset_card(former: Card, run: Run, rows: _SessionRows, expected: ExpectedCoverage) -> IntervalResetCard:
-    what = "rows" if rows.count == len(rows.rows) else f"{' and '.join(rows.columns)} groups"
+def _reset_card(former: Card, result: CalibrationResult, session: str) -> IntervalResetCard:
+    groups, count = len(np.unique(result.data.groups)), len(result.held_out)
+    expected, own = ExpectedCoverage.of(groups, former.coverage), groups == count
+    what = "rows" if own else f"{' and '.join(result.job.parts.group_columns)} groups"
     low, mean, high = (100 * rate for rate in (expected.low, expected.mean, expected.high))
-    own = rows.count == len(rows.rows)
     drawn = "the" if own else "one row being drawn from each group, the expected"
     circa, at_least = ("", "") if own else ("about ", " or more")
-    before = intervals_of(former)
-    low_before, high_before = before.ends(rows.outputs)
-    were = _half_turns_at_most(before, (high_before - low_before) / 2).mean(axis=0)
+    low_before, high_before = intervals_of(former).ends(result.held_out)
+    were = ((high_before - low_before) / 2).mean(axis=0)
     text = (
-        f"The intervals were set anew for session {rows.session} by {len(rows.rows)} labelled rows of it, "
+        f"The intervals were set anew for session {session} by {count} labelled rows of it, "
         f"the network being that of calibration {former.id}: {drawn} score of rank "
-        f"{expected.rank} of {rows.count} {what}. They cover {circa}{mean:.1f} % of that session's rows on "
+        f"{expected.rank} of {groups} {what}. They cover {circa}{mean:.1f} % of that session's rows on "
         f"average over such sets of rows; this set, with a probability of 95 %{at_least}, {low:.1f} to "
         f"{high:.1f} %. These rows set the coverage and do not test it. Of a third session they say nothing."
     )
     return IntervalResetCard(
         calibration=former.id,
-        run=run_card(run),
-        session=rows.session,
-        rows=len(rows.rows),
-        groups=rows.count,
+        run=run_card(result.job.run),
+        session=session,
+        rows=count,
+        groups=groups,
         rank=expected.rank,
         coverage_mean=expected.mean,
         coverage_low=expected.low,
@@ -482,7 +341,7 @@ def _reset_card(former: Card, run: Run, rows: _SessionRows, expected: ExpectedCo
     )
 
 
-def _sessions(former: Card, rows: _SessionRows, text: str) -> SessionsCard:
+def _sessions(former: Card, text: str) -> SessionsCard:
     before = former.sessions
     return SessionsCard(
         column=before.column if before else "session",

@@ -10,16 +10,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
-from hashlib import sha256
-from itertools import combinations
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
 
-from palpate.calibration.calibration_job import HELD_OUT_WHOLE, groups_within
-from palpate.calibration.certificate import CalibrationResult, IntervalFit, run_card
+from palpate.calibration.calibration_job import HELD_OUT_WHOLE, CalibrationJob, groups_within, share_between
+from palpate.calibration.certificate import CalibrationResult, intervals_by, run_card, scored_rows
 from palpate.calibration.coverage.conformal import fit_intervals
 from palpate.calibration.coverage.grouped_rates import is_distribution_free, rank_of_new_group
 from palpate.calibration.sessions.interval_reset import (
@@ -28,14 +26,10 @@ from palpate.calibration.sessions.interval_reset import (
     intervals_of_sessions,
 )
 from palpate.core import (
-    Bool,
     CertificateError,
     Float,
-    Float32,
     Indices,
-    InputError,
     PathText,
-    SplitError,
     Values,
     new_file,
     storage_errors,
@@ -47,21 +41,17 @@ from palpate.estimators.class_sets import Outputs, TargetLayout
 from palpate.estimators.findings import Finding, FindingCode, SessionErrorCard, SessionsCard, ValidScoreCard
 from palpate.estimators.intervals import Intervals
 from palpate.estimators.model_card import Card, ScoreCard
-from palpate.recordings import PackedSet, Run, Split
+from palpate.recordings import Run, Split
 from palpate.recordings.joined_runs import JoinedRun, sessions_of
 from palpate.recordings.splits import SESSION, group_names
 from palpate.version import __version__
 
-MAX_COPIES = 0.05  # ratio of a session's frames that may equal another's, as of a dark sensor
 MAX_ALTERED = 0.5  # ratio of scored frames that are altered copies of another session's
 MAX_SHARE_OF_VARIANCE = 0.9  # ratio of a target's variance between sessions
 MIN_ROWS = 10
 MAX_STRETCHES = 3.0  # stretches over the number of sessions, above which sessions alternate
 MAX_SPANS = 20.0  # ratio of a target's spans in two sessions, above which units may differ
-SHUFFLES, LEVEL = 199, 0.05
-MIN_UNITS = 8  # presses of a session, with fewer of which its frames are not compared with another's
-MAX_PAIRS, MAX_NAMED = 45, 3
-COMPONENTS, UNITS_A_COMPONENT = 20, 4
+MAX_NAMED = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,9 +87,18 @@ def held_out_sessions(table: pd.DataFrame, split: Split, scored: Indices) -> Hel
     return None
 
 
-def interval_fit(held: HeldOutSessions | None) -> IntervalFit:
-    """Return the interval fit: for new sessions where such were held out."""
-    return fit_intervals if held is None else partial(_for_sessions, held)
+def held_out_intervals(
+    job: CalibrationJob, outputs: Float[np.ndarray, "n _"], held_out: Outputs
+) -> tuple[HeldOutSessions | None, Intervals]:
+    """Return the sessions held out, and the intervals: for new sessions where such were held out.
+
+    Args:
+        outputs: held-out outputs of targets and classes ``[n o]``.
+        held_out: those of the targets.
+    """
+    held = held_out_sessions(job.table, job.parts, scored_rows(outputs))
+    fit = fit_intervals if held is None else partial(_for_sessions, held)
+    return held, intervals_by(fit, held_out, job.data, job.plan)
 
 
 def _for_sessions(
@@ -111,44 +110,6 @@ def _for_sessions(
     layout: TargetLayout | None = None,
 ) -> Intervals:
     return intervals_of_sessions(predicted, true, held.of, held.groups, coverage, layout)
-
-
-def check_sessions(table: pd.DataFrame, values: Values, columns: Sequence[str], split: Split) -> None:
-    """Refuse to hold out sessions whose labels cannot name sessions.
-
-    Args:
-        values: targets ``[n t]``, named `columns`.
-    """
-    if SESSION not in table or SESSION not in split.group_columns:
-        return
-    sessions = group_names(table, (SESSION,))
-    names = np.unique(sessions)
-    if len(names) < 2:
-        return
-    remedy = "name what was recorded without re-mounting the sensor, such as the day, or use --split random"
-    for column in columns:
-        if column in table and np.array_equal(sessions, group_names(table, (column,))):
-            raise SplitError(f"label 'session' repeats target {column!r}; {remedy}", code="session-is-target")
-    if 2 * len(names) > len(sessions):
-        raise SplitError(
-            f"label 'session' has {len(names)} values in {len(sessions)} rows: it numbers rows; {remedy}",
-            code="session-numbers-rows",
-        )
-    spelt: dict[str, str] = {}
-    for name in map(str, names):
-        first = spelt.setdefault("".join(name.split()).casefold(), name)
-        if first != name:
-            raise SplitError(
-                f"sessions {first!r} and {name!r} are one name in two spellings; use one",
-                code="session-spelling",
-            )
-    for column, target in zip(columns, values.T, strict=True):
-        if share_between(target, sessions) > 1 - 1e-9:
-            raise SplitError(
-                f"target {column!r} has one value in each session, which no other session contains. Record "
-                "each session over the whole range, or split within sessions (--split blocks)",
-                code="session-is-target",
-            )
 
 
 def label_findings(
@@ -196,14 +157,6 @@ def label_findings(
     return found
 
 
-def share_between(target: np.ndarray, sessions: np.ndarray) -> float:
-    """Return the ratio of a target's variance ``[n]`` between the sessions' means (eta squared)."""
-    _, of = np.unique(sessions, return_inverse=True)
-    means = np.bincount(of, weights=target) / np.bincount(of)
-    variance = float(np.var(target))
-    return float(np.var(means[of])) / variance if variance > 0 else 0.0
-
-
 def unlabeled_runs(run: Run) -> list[Finding]:
     """Return a finding on runs whose session is their name, joined with runs that label it."""
     runs = run.runs if isinstance(run, JoinedRun) else ()
@@ -211,74 +164,6 @@ def unlabeled_runs(run: Run) -> list[Finding]:
     if not bare or len(bare) == len(runs):
         return []
     return [Finding(code=FindingCode.RUNS_WITHOUT_SESSION, values={"runs": ", ".join(bare)})]
-
-
-def refuse_copied_sessions(packed: PackedSet, columns: tuple[str, ...]) -> None:
-    """Raise `InputError` where the frames of one session equal another's beyond chance.
-
-    Args:
-        packed: training rows without no-contact frames, which look alike everywhere.
-        columns: of the split; nothing is compared where no session is held out.
-    """
-    if SESSION not in columns or SESSION not in packed.table:
-        return
-    sessions = group_names(packed.table, (SESSION,))
-    digests = [sha256(packed.read([row]).tobytes()).digest() for row in range(len(packed))]
-    seen: dict[bytes, set[str]] = {}
-    for digest, session in zip(digests, sessions, strict=True):
-        seen.setdefault(digest, set()).add(session)
-    for session in np.unique(sessions):
-        own = [digest for digest, of in zip(digests, sessions, strict=True) if of == session]
-        for other in sorted(set(sessions) - {session}):
-            copies = sum(other in seen[digest] for digest in own)
-            if copies > MAX_COPIES * len(own) and copies > 1:
-                raise InputError(
-                    f"{copies} of {len(own)} frames of session {session} equal frames of {other}. Give one "
-                    "session once, or under one name",
-                    code="session-twice",
-                )
-
-
-def alike_sessions(
-    images: Float32[np.ndarray, "n h w c"], sessions: np.ndarray, units: Indices
-) -> list[Finding]:
-    """Return a finding on sessions whose frames differ no more than presses do.
-
-    Mean images are compared by Hotelling's T² of their main components, with those of shuffled presses.
-
-    Args:
-        images: small images of the frames.
-        sessions, units: session and press of each ``[n]``.
-    """
-    _, of_unit = np.unique(units, return_inverse=True)
-    count = np.bincount(of_unit)
-    flat = images.reshape(len(images), -1).astype(np.float64)
-    means = np.zeros((len(count), flat.shape[1]))
-    np.add.at(means, of_unit, flat)
-    means /= count[:, None]
-    session_of = np.empty(len(count), dtype=sessions.dtype)
-    session_of[of_unit] = sessions
-    pairs = []
-    for first, second in list(combinations(np.unique(sessions), 2))[:MAX_PAIRS]:
-        part = np.isin(session_of, (first, second))
-        ours = session_of[part] == first
-        if min(ours.sum(), (~ours).sum()) >= MIN_UNITS and _level(means[part], ours) > LEVEL:
-            pairs.append(f"{first} and {second}")
-    if not pairs:
-        return []
-    return [Finding(code=FindingCode.SESSIONS_ALIKE, values={"pairs": "; ".join(pairs[:MAX_NAMED])})]
-
-
-def _level(means: Float[np.ndarray, "u d"], ours: Bool[np.ndarray, " u"]) -> float:
-    centred = means - means.mean(axis=0)
-    axes, sizes, _ = np.linalg.svd(centred, full_matrices=False)
-    kept = min(COMPONENTS, len(means) // UNITS_A_COMPONENT, int((sizes > 1e-6 * max(sizes[0], 1e-12)).sum()))
-    scores = axes[:, : max(kept, 1)]
-    rng = np.random.default_rng(0)
-    orders = np.array([ours, *(rng.permutation(ours) for _ in range(SHUFFLES))], dtype=np.float64)
-    # Components have no mean, so that one group's sum is minus the other's.
-    differences = ((orders @ scores) ** 2).sum(axis=1)
-    return float((1 + np.sum(differences[1:] >= differences[0] * (1 - 1e-9))) / (1 + SHUFFLES))
 
 
 def sessions_card(
@@ -355,21 +240,20 @@ def _promise(column: str, names: tuple[str, ...], count: int, coverage: float, f
     )
 
 
-def result_sessions(result: CalibrationResult, held: HeldOutSessions | None) -> SessionsCard:
-    """Return the card's part on sessions of a new calibration."""
+def session_fields(result: CalibrationResult, held: HeldOutSessions | None, _: Path) -> dict[str, Any]:
+    """Return the card's field on sessions of a new calibration."""
     job, scored, intervals = result.job, result.scored, result.intervals
     outputs, true = result.held_out[scored], result.data.values[scored]
     errors, inside = intervals.errors(outputs, true), intervals.hold(outputs, true)
     pairs = {column: (errors[:, j], inside[:, j]) for j, column in enumerate(job.plan.targets)}
     found = unlabeled_runs(job.run)
     found += label_findings(job.table, job.data.values, job.plan.targets, job.in_recorded_order)
-    if job.sessions is not None and len(np.unique(job.sessions)) > 1:
+    if result.audit is not None and job.sessions is not None and len(np.unique(job.sessions)) > 1:
         copies = result.audit.near_duplicates
         if copies >= MAX_ALTERED * len(scored):
             values: dict[str, int | float | str] = {"count": copies, "held": len(scored)}
             found.append(Finding(code=FindingCode.SESSIONS_COPIED, values=values))
-        found += alike_sessions(job.thumbnails()[job.rows], job.sessions, groups_within(job.table))
-    return sessions_card(job.run, held, pairs, job.plan.coverage, tuple(found))
+    return {"sessions": sessions_card(job.run, held, pairs, job.plan.coverage, tuple(found))}
 
 
 FORMAT = "palpate-evaluation/1"

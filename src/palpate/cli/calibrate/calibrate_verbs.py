@@ -56,13 +56,8 @@ def calibrate(
     ] = "",
     model: Annotated[
         str,
-        Option(
-            help="kernel-ridge, auto, pca-ridge, pixel-mlp, compact-cnn, mean, a palm's, or module:Class."
-        ),
+        Option(help="kernel-ridge, pca-ridge, pixel-mlp, compact-cnn, mean, a palm's, or module:Class."),
     ] = "kernel-ridge",
-    minutes: Annotated[
-        float | None, Option(help="Time that --model auto takes for the whole calibration [min]; default 10.")
-    ] = None,
     split: Annotated[
         str,
         Option(
@@ -131,7 +126,7 @@ def calibrate(
     """Calibrate an estimator and certify it.
 
     Makes a folder of model, card, held-out predictions and report. Interrupted, the same command goes on
-    from where it was. Under torchrun, several processes train a network of the palm.
+    from where it was.
 
     Example: palpate calibrate run --targets depth_mm,force_N --model compact-cnn --out cal
     Example: palpate calibrate monday tuesday friday --split session --out cal
@@ -141,7 +136,6 @@ def calibrate(
     from palpate.calibration.calibration_plan import ReferenceRule
     from palpate.core import Lens
     from palpate.estimators.networks import model_kind
-    from palpate.estimators.networks.distributed import ProcessGroup
     from palpate.recordings.joined_runs import joined
     from palpate.recordings.manifest import read_instruments
 
@@ -167,16 +161,13 @@ def calibrate(
         reference=ReferenceRule.parse(reference, names_of(reference_by)) if reference else None,
         learn_untouched=learn_untouched,
         skin_px=numbers_of(skin, 4, "--skin"),  # type: ignore[arg-type]
-        options=_model_options(model, option or [], minutes),
+        options=options_of(option or []),
         circular=periods_of(circular),
         vectors=vectors_of(vector or []),
         instruments={} if instruments is None else read_instruments(instruments),
         classes=told_apart,
         lens=None if lens is None else Lens.read(lens),
     )
-    if not ProcessGroup.of_environment().first:
-        palpate.calibrate(recorded, plan, out)
-        return
     with progress_bar() as progress:
         card = palpate.certify(recorded, plan, out, progress)
     print_found(card.model_dump(mode="json"), _card_text(card, out))
@@ -297,30 +288,15 @@ def report(
         Path | None,
         Option(help="HTML file to make; must not exist. By default beside the folder, of its name."),
     ] = None,
-    steps: Annotated[
-        bool, Option("--steps", help="Print every step from pixels to a reading instead; make no page.")
-    ] = False,
 ) -> None:
     """Write a calibration's report as one self-contained HTML page.
 
     Example: palpate report cal --out cal.html
     """
-    from palpate.estimators.certified import check_files, read_card
-
-    calibration = calibration_in(calibration)
-    if steps:
-        from palpate.estimators.reading_steps import reading_steps
-
-        card = read_card(calibration)
-        check_files(calibration, card)
-        found = reading_steps(card)
-        if card.steps is not None and card.steps.rule == found.rule:
-            found = card.steps
-        words = [f"{i}. {sentence}" for i, sentence in enumerate(found.words, start=1)]
-        print_found(found.model_dump(mode="json"), "\n".join(words))
-        return
+    from palpate.estimators.certified import read_card
     from palpate.reports.sections import ReportedCalibration
 
+    calibration = calibration_in(calibration)
     page = out or calibration.parent / f"{calibration.resolve().name}.html"
     palpate.write_report(calibration, page)
     _tell_left_out(ReportedCalibration(calibration, read_card(calibration)).refused_evaluations)
@@ -356,18 +332,6 @@ def _tell_left_out(why: tuple[str, ...]) -> None:
         say(f"left out: {' '.join(one.split())}", err=True)
 
 
-def _model_options(model: str, pairs: list[str], minutes: float | None) -> dict[str, Any]:
-    """A model's settings, with the time that only `auto` knows what to do with."""
-    from palpate.core import InputError
-
-    options = options_of(pairs)
-    if minutes is None:
-        return options
-    if model != "auto":
-        raise InputError(f"--minutes {minutes:g} is for --model auto, and the model is {model}; drop one")
-    return options | {"minutes": minutes}
-
-
 def _card_text(card: Any, out: Path) -> str:
     from palpate.calibration.coverage.range_scores import card_findings
     from palpate.reports.evaluation_text import class_lines
@@ -383,7 +347,7 @@ def _card_text(card: Any, out: Path) -> str:
     lines += [*card_findings(card), *(_vector_text(vector) for vector in card.vectors or ())]
     lines += _changes(card)
     if card.choice is not None:
-        lines += _choice_lines(card)
+        lines.append(f"chosen on inner folds: {card.choice.chosen}")
     if card.training is not None:
         lines.append(f"learnt in {card.training.sentence}")
     lines += [f"audit: {card.split.audit_text}", f"report: {out / 'report.html'}"]
@@ -421,18 +385,6 @@ def _vector_text(vector: Any) -> str:
         f"{100 * vector.covered:.1f} % "
         f"of rows (95 % interval {100 * vector.low:.1f} to {100 * vector.high:.1f} %)"
     )
-
-
-def _choice_lines(card: Any) -> list[str]:
-    """What was chosen, and for `auto` what each model gave."""
-    lines = [f"chosen on inner folds: {card.choice.chosen}"]
-    if card.model_name == "auto":
-        for trial in card.choice.trials:
-            gave = "-" if trial.error is None else f"{trial.error:.3f}"
-            lines.append(
-                f"  {trial.name:14}{gave:>7} of the spread  {trial.seconds:7.1f} s  {trial.note}".rstrip()
-            )
-    return lines
 
 
 def _scores_text(scores: dict[str, Any], card: Card, run: Manifest) -> str:

@@ -41,11 +41,10 @@ class Kind:
 
 
 _GENERAL = {
-    "mean": Kind("palpate.estimators.networks.pca_ridge:MeanBaseline", 32),
-    "pca-ridge": Kind("palpate.estimators.networks.pca_ridge:PcaRidge", 112),
-    "kernel-ridge": Kind("palpate.estimators.networks.kernel.kernel_ridge:KernelRidge", 128),
-    "pixel-mlp": Kind("palpate.estimators.networks.resnet:PixelMlp", 64),
-    "auto": Kind("palpate.estimators.networks.auto_model:AutoModel", 128),
+    "mean": Kind("palpate.estimators.networks.pixel_models:MeanBaseline", 32),
+    "pca-ridge": Kind("palpate.estimators.networks.pixel_models:PcaRidge", 112),
+    "kernel-ridge": Kind("palpate.estimators.networks.kernel_ridge:KernelRidge", 128),
+    "pixel-mlp": Kind("palpate.estimators.networks.pixel_models:PixelMlp", 64),
     "compact-cnn": Kind("palpate.estimators.networks.compact_cnn:CompactCnn", 224, costly=True),
 }
 

@@ -18,12 +18,12 @@ from pathlib import Path
 import numpy as np
 import onnx
 
-from palpate.core import Indices, InputError, Progress, Tensor, Values, silent
+from palpate.core import Indices, InputError, Progress, Tensor, Values
 from palpate.core.array_files import read_arrays
 from palpate.core.optional_imports import optional_imports
 from palpate.core.parsing import parser
 from palpate.estimators.networks.augmentation import CameraVariation, RotationalSymmetry
-from palpate.estimators.networks.model_interface import Scaler, TrainingData, scaled_errors
+from palpate.estimators.networks.model_interface import BuiltInModel, Scaler, TrainingData, scaled_errors
 from palpate.estimators.networks.torch_export import TorchGraph
 
 with optional_imports("A network"):
@@ -102,7 +102,7 @@ def _add_network(graph: TorchGraph, network: Network) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class CompactCnn:
+class CompactCnn(BuiltInModel):
     """Architecture and training schedule of the network.
 
     Attributes:
@@ -142,14 +142,8 @@ class CompactCnn:
         if not 0 <= self.variation <= 2:
             raise InputError(f"variation {self.variation}: from 0, none, to 2, twice the usual sizes")
 
-    def fit(
-        self,
-        data: TrainingData,
-        rows: Indices,
-        *,
-        seed: int,
-        progress: Progress = silent,
-        checkpoint: Path | None = None,
+    def _fit(
+        self, data: TrainingData, rows: Indices, seed: int, progress: Progress, checkpoint: Path | None
     ) -> FittedNetwork:
         plan = self if len(rows) >= self.batch else replace(self, batch=max(2, len(rows) // 2))
         side = min(data.shape[1:])

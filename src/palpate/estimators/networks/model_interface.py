@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import onnx
@@ -125,14 +125,6 @@ class LearnsInSteps(Protocol):
     training: TrainingRecord
 
 
-@runtime_checkable
-class TimeBoxed(Protocol):
-    """Model with a time limit for all fits of a calibration."""
-
-    def shared_among(self, fits: int) -> Model:
-        """Return the model for one of several fits."""
-
-
 def typical_error(errors: Float[np.ndarray, " t"]) -> float:
     """Return the geometric mean of the targets' errors."""
     return float(np.exp(np.log(np.maximum(errors, MIN_ERROR)).mean()))
@@ -163,6 +155,28 @@ class Model(Protocol):
             progress: Progress callback.
             checkpoint: File to resume from after an interruption.
         """
+
+
+class BuiltInModel:
+    """Model of the package: `fit` as of `Model`, whose defaults stand here once."""
+
+    __slots__ = ()
+
+    def fit(
+        self,
+        data: TrainingData,
+        rows: Indices,
+        *,
+        seed: int,
+        progress: Progress = silent,
+        checkpoint: Path | None = None,
+    ) -> Any:
+        return self._fit(data, rows, seed, progress, checkpoint)
+
+    def _fit(
+        self, data: TrainingData, rows: Indices, seed: int, progress: Progress, checkpoint: Path | None
+    ) -> Fitted:
+        raise NotImplementedError
 
 
 def predict_rows(fitted: Fitted, data: TrainingData, rows: Indices) -> Values:

@@ -1,9 +1,8 @@
 """Training loop of the larger networks: Adam on batches, clipped gradients, and checkpoints.
 
 Randomness follows from the seed and the epoch, and checkpoints are plain arrays, so that interrupted training
-resumes to the same weights on the same machine and threads. With torchrun several processes share every
-batch; only the first writes and decides. bfloat16 is used for passes where it is fast; weights and loss stay
-float32.
+resumes to the same weights on the same machine and threads. bfloat16 is used for passes where it is fast;
+weights and loss stay float32.
 
 Reference for Adam: Kingma & Ba, ICLR (2015), arXiv:1412.6980.
 """
@@ -29,7 +28,6 @@ from palpate.estimators.networks.compact_cnn import (
     read_checkpoint,
     write_checkpoint,
 )
-from palpate.estimators.networks.distributed import ProcessGroup
 from palpate.estimators.networks.model_interface import TrainingRecord
 
 with optional_imports("A network"):
@@ -71,7 +69,7 @@ class TrainingLoop:
 
     Attributes:
         epochs: Greatest number of passes.
-        batch: Rows a step of all processes together, 2 or more for each; a last batch of one row is omitted.
+        batch: Rows a step; a last batch of one row is omitted.
         learning_rate: Adam's step.
         patience: Epochs without a smaller loss on watched rows before it stops; the best weights are kept.
         precision: "auto" uses bfloat16 where it is fast, "float32" never.
@@ -143,21 +141,20 @@ class TrainingLoop:
             network: Map from inputs to outputs.
             task: Rows and loss.
             seed: Seed of the order of rows.
-            progress: Progress callback of the first process.
-            checkpoint: File to resume from, in a folder that all processes see.
+            progress: Progress callback.
+            checkpoint: File to resume from.
         """
         if len(task.learn) < 2:
             raise InputError(f"{len(task.learn)} rows; give 2 or more", code="too-few-rows")
         run = TrainingRun(self, network, task, seed)
-        show = progress if run.processes.first else silent
-        if checkpoint is not None:
-            run.resume(checkpoint)
+        if checkpoint is not None and checkpoint.exists():
+            run.load(checkpoint)
         while not run.ended:
             run.one_epoch()
-            if checkpoint is not None and run.processes.first:
+            if checkpoint is not None:
                 run.save(checkpoint)
-            show("learning", run.epoch, run.epochs)
-        show("learning", run.epochs, run.epochs)
+            progress("learning", run.epoch, run.epochs)
+        progress("learning", run.epochs, run.epochs)
         return run
 
 
@@ -169,17 +166,8 @@ class TrainingRun:
         each = len(_batches(task.learn, plan.batch))
         self.steps = plan.steps_in_all(each)
         self.epochs = math.ceil(self.steps / each)
-        self.processes = ProcessGroup.of_environment()
-        if plan.batch < 2 * self.processes.size:
-            raise InputError(
-                f"a batch of {plan.batch} rows for {self.processes.size} processes; take "
-                f"{2 * self.processes.size} rows or more",
-                code="batch-size",
-            )
-        self.processes.join()
-        self.device = self.processes.device()
-        self.plain = network.to(self.device, memory_format=torch.channels_last)
-        self.network = self.processes.with_shared_statistics(self.plain)
+        self.device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+        self.network = network.to(self.device, memory_format=torch.channels_last)
         self.optimiser = torch.optim.Adam(self.network.parameters(), lr=plan.learning_rate)
         self.best: dict[str, torch.Tensor] = {}
         self.best_loss, self.best_step, self.since = math.inf, 0, 0
@@ -206,26 +194,21 @@ class TrainingRun:
         rng = np.random.default_rng([self.seed, self.epoch])
         order = rng.permutation(self.task.learn)
         self.network.train()
-        # Anew each epoch: how gradients are bundled, and so rounded, then follows from the epoch alone.
-        spread = self.processes.spread(self.network, self.device)
         parts = _batches(order, self.plan.batch)
         taken = parts[: self.steps - self.step]
-        losses = [self._step(spread, part, (self.step + i, len(parts))) for i, part in enumerate(taken)]
+        losses = [self._step(part, (self.step + i, len(parts))) for i, part in enumerate(taken)]
         self.epoch, self.step = self.epoch + 1, self.step + len(taken)
-        self._require_a_number(self.processes.sum(torch.stack(losses).sum().item()))
+        self._require_a_number(torch.stack(losses).sum().item())
         if self.stops_early:
-            self._remember(
-                self.processes.first_says(self.watched_loss() if self.processes.first else math.nan)
-            )
+            self._remember(self.watched_loss())
 
-    def _step(self, spread: nn.Module, part: Indices, at: tuple[int, int]) -> torch.Tensor:
-        """Take the `at[0]`-th of `at[1]` steps of an epoch with this process's part of the rows."""
-        mine, weight = self.processes.share(part)
+    def _step(self, part: Indices, at: tuple[int, int]) -> torch.Tensor:
+        """Take the `at[0]`-th of `at[1]` steps of an epoch."""
         for group in self.optimiser.param_groups:
             group["lr"] = self.plan.rate(*at) * FALL**self.falls
         with torch.autocast(self.device.type, dtype=torch.bfloat16, enabled=self._uses_bfloat16()):
-            answer = spread(self._on_device(self._varied(mine, at[0])))
-        loss = weight * self.task.loss(answer.float(), self._wanted(mine))
+            answer = self.network(self._on_device(self._varied(part, at[0])))
+        loss = self.task.loss(answer.float(), self._wanted(part))
         self.optimiser.zero_grad()
         loss.backward()
         nn.utils.clip_grad_norm_(self.network.parameters(), self.plan.clip)
@@ -233,7 +216,7 @@ class TrainingRun:
         return loss.detach()
 
     def _varied(self, part: Indices, step: int) -> Tensor:
-        """Inputs changed by seeds that depend on the row, not on the process."""
+        """Inputs changed by seeds that depend on the row and the step."""
         inputs, vary = self.task.fetch(part), self.task.vary
         if vary is None:
             return inputs
@@ -271,7 +254,7 @@ class TrainingRun:
             return
         self.since += 1
         if self.since >= self.plan.patience and self.falls < self.plan.falls:
-            self.plain.load_state_dict(self.best)
+            self.network.load_state_dict(self.best)
             self.falls, self.since = self.falls + 1, 0
 
     def _require_a_number(self, loss: float) -> None:
@@ -284,28 +267,14 @@ class TrainingRun:
 
     def kept(self) -> nn.Module:
         """Return the best network, or the last one if none was watched, on the CPU."""
-        self.plain.load_state_dict(self.best or self.network.state_dict())
-        network = self.plain.to("cpu", memory_format=torch.contiguous_format).eval()
-        self.processes.align(network)
-        return network
+        if self.best:
+            self.network.load_state_dict(self.best)
+        return self.network.to("cpu", memory_format=torch.contiguous_format).eval()
 
     def save(self, path: Path) -> None:
         counts = {name: getattr(self, name) for name in ("seed", *COUNTS, "best_loss")}
         states = {"network": self.network.state_dict(), "best": self.best}
         write_checkpoint(path, counts, states, self.optimiser)
-
-    def resume(self, path: Path) -> None:
-        """Resume from a checkpoint if there is one, in all processes."""
-        if self.processes.first and path.exists():
-            self.load(path)
-        self.processes.wait()
-        if not self.processes.first and path.exists():  # the first has set aside what is damaged
-            self._take(read_checkpoint(path))
-        if self.epoch != self.processes.first_says(self.epoch):
-            raise InputError(
-                f"process {self.processes.rank} does not see {path}; share its folder",
-                code="checkpoint-not-shared",
-            )
 
     def load(self, path: Path) -> None:
         """Load a checkpoint; a damaged or foreign file is renamed."""

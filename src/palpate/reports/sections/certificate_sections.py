@@ -31,7 +31,6 @@ from palpate.core import CertificateError, interval_text, rounded
 from palpate.estimators.findings import Finding
 from palpate.estimators.intervals import layout_of
 from palpate.estimators.model_card import Card, TargetCard
-from palpate.estimators.reading_steps import reading_steps
 from palpate.recordings.label_tables import OWN, own_column
 from palpate.reports.calibration_figures import (
     Panel,
@@ -47,12 +46,10 @@ from palpate.reports.calibration_figures import (
 )
 from palpate.reports.evaluation_text import class_answer, classes_told, frames_of, valid_readings_text
 from palpate.reports.sections.target_verdicts import (
-    OuterRange,
     answer,
     fails,
     found_elsewhere,
     others,
-    outer_ranges,
     reading_half_width,
     tested_text,
     verdict,
@@ -216,10 +213,6 @@ class ReportedCalibration:
     def _took_presses_apart(self) -> bool:
         return self.card.split.kind == "random" and press_column(self.table) is not None
 
-    @cached_property
-    def ends(self) -> dict[str, tuple[OuterRange, ...]]:
-        return {t.column: outer_ranges(t, self.table, self.groups) for t in self.card.targets}
-
     @property
     def evaluations(self) -> tuple[EvaluationRecord, ...]:
         """Scores of this very calibration on other recordings, the earliest first."""
@@ -284,9 +277,9 @@ def answers(report: ReportedCalibration) -> Values:
 
 
 def _answer(report: ReportedCalibration, target: TargetCard) -> dict[str, str]:
-    card, ends, name = report.card, report.ends[target.column], target.quantity.replace("_", " ")
+    card, name = report.card, target.quantity.replace("_", " ")
     tested = tested_text(card, target, report.evaluations)
-    sentences = [answer(card, target, ends, report.scored_groups, tested)]
+    sentences = [answer(card, target, report.scored_groups, tested)]
     if target.is_read:
         sentences += [one.removeprefix(f"{name}: ") for one in target_findings(target, card.coverage)]
         sentences += found_elsewhere(target, report.evaluations)
@@ -302,7 +295,7 @@ def _answer(report: ReportedCalibration, target: TargetCard) -> dict[str, str]:
     if not_relied_on(card, target):
         sentences.append("do not rely on this: the audit failed, see above")
     bad = not target.is_read or not_relied_on(card, target)
-    warned = fails(card, target, ends, report.evaluations)
+    warned = fails(card, target, report.evaluations)
     return {"text": ". ".join(one[0].upper() + one[1:] for one in sentences[1:]), "first": sentences[0],
             "style": "bad" if bad else "warn" if warned else ""}  # fmt: skip
 
@@ -328,7 +321,7 @@ def targets(report: ReportedCalibration) -> Values | None:
         "targets": [
             {
                 "name": target.quantity.replace("_", " "),
-                "verdict": verdict(target, report.ends[target.column], report.scored_groups),
+                "verdict": verdict(target, report.scored_groups),
                 "bad": not target.is_read,
                 "findings": target_findings(target, report.card.coverage),
                 "panels": target_panels(target, report.table, report.groups),
@@ -410,16 +403,6 @@ def source(report: ReportedCalibration) -> Values:
     }
 
 
-def steps(report: ReportedCalibration) -> Values:
-    """Show every step from the camera's pixels to a reading."""
-    return {"words": steps_of(report.card)}
-
-
-def steps_of(card: Card) -> tuple[str, ...]:
-    """Return a card's steps in words; for earlier cards, derived."""
-    return (card.steps or reading_steps(card)).words
-
-
 def use(report: ReportedCalibration) -> Values:
     """Show how to use it, and what it does not promise."""
     before = all(target.over_range is None for target in report.card.targets)
@@ -444,6 +427,5 @@ SECTIONS: tuple[Callable[[ReportedCalibration], Values | None], ...] = (
     choice,
     worst,
     source,
-    steps,
     use,
 )

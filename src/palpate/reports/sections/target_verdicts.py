@@ -4,67 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 
-from palpate.calibration.coverage.grouped_rates import grouped_coverage_interval
-from palpate.calibration.coverage.range_scores import target_findings
+from palpate.calibration.coverage.range_scores import failing, target_findings
 from palpate.calibration.sessions import EvaluationRecord
 from palpate.core import rounded
 from palpate.estimators.findings import SessionsCard
 from palpate.estimators.model_card import Card, ScoreCard, TargetCard
 from palpate.estimators.reference_uncertainty import too_unsure, with_reference
-from palpate.reports.calibration_figures import errors_of, held_rows, interval_ends, target_columns
+from palpate.reports.calibration_figures import interval_ends, target_columns
 from palpate.reports.terminal_text import mean_error_half_width, percent, width_text
 
-OUTER_SHARE = 0.1  # ratio of the scored rows in an outer range
-MIN_OUTER_ROWS = 20  # with fewer, rates of 90 and 70 % are indistinguishable
-MIN_TOLD = 0.7  # lower bound for the interval of a range's coverage
-
-
-@dataclass(frozen=True, slots=True)
-class OuterRange:
-    """Held-out rows at one end of a target's range.
-
-    Attributes:
-        where: range in words with its unit, e.g. "above 5.5 mm".
-        n, covered: rows, and those whose interval covered the truth.
-        low, high: 95 % interval of the covered ratio over groups.
-        bias: mean signed error [the target's unit].
-    """
-
-    where: str
-    n: int
-    covered: int
-    low: float
-    high: float
-    bias: float
-
-
-def outer_ranges(target: TargetCard, table: pd.DataFrame, groups: np.ndarray) -> tuple[OuterRange, ...]:
-    """Return the lowest and highest tenth of a target's scored rows by the truth; none where rows are few.
-
-    Args:
-        table: held-out predictions, one row per frame.
-        groups: group of each row ``[n]``.
-    """
-    true, estimate, _ = target_columns(target, table)
-    error = errors_of(target, true, estimate)
-    inside = held_rows(target, table)
-    count = max(int(OUTER_SHARE * len(true)), MIN_OUTER_ROWS)
-    if target.circular is not None or 2 * count > len(true):
-        return ()
-    lowest, highest = np.sort(true)[[count - 1, -count]]
-    ranges = []
-    # Rows that share the limit's truth belong to the range too, as with a few dead weights.
-    for word, limit, rows in (("below", lowest, true <= lowest), ("above", highest, true >= highest)):
-        low, high = grouped_coverage_interval(inside[rows], groups[rows])
-        at = rounded(limit, target.score.half_width)
-        where, covered = f"{word} {at} {target.unit}", int(inside[rows].sum())
-        ranges.append(OuterRange(where, int(rows.sum()), covered, low, high, float(error[rows].mean())))
-    return tuple(ranges)
+MIN_TOLD = 0.7  # lower bound of the coverage's interval, from which groups are enough to judge it
 
 
 def others(evaluations: Sequence[EvaluationRecord]) -> tuple[EvaluationRecord, ...]:
@@ -72,14 +25,11 @@ def others(evaluations: Sequence[EvaluationRecord]) -> tuple[EvaluationRecord, .
     return tuple(one for one in evaluations if one.of_another_session)
 
 
-def fails(
-    card: Card, target: TargetCard, ends: Sequence[OuterRange], evaluations: Sequence[EvaluationRecord]
-) -> bool:
+def fails(card: Card, target: TargetCard, evaluations: Sequence[EvaluationRecord]) -> bool:
     """Return whether a target's intervals cover less than promised, over all rows, a part, or elsewhere."""
     scores = [target.score, *(found.targets[target.column] for found in others(evaluations))]
     return (
         any(one.coverage_90_high < card.coverage for one in scores)
-        or any(end.high < card.coverage for end in ends)
         or bool(target_findings(target, card.coverage))
         or bool(found_elsewhere(target, evaluations))
     )
@@ -95,7 +45,7 @@ def found_elsewhere(target: TargetCard, evaluations: Sequence[EvaluationRecord])
     )
 
 
-def answer(card: Card, target: TargetCard, ends: Sequence[OuterRange], groups: int, tested: str) -> str:
+def answer(card: Card, target: TargetCard, groups: int, tested: str) -> str:
     """Return how well a target is read, where, and on which day, in one sentence.
 
     Args:
@@ -113,8 +63,7 @@ def answer(card: Card, target: TargetCard, ends: Sequence[OuterRange], groups: i
     if why := too_unsure(target):
         return f"{name}: not read by this model: {why}"
     held = f"its own intervals, {wide} on average, held {_held(s, card.coverage)}"
-    but = _but(s, ends, card.coverage)
-    return f"{name}: {typical} {s.unit} typical; {held} {_where(target)}{but}; {tested}"
+    return f"{name}: {typical} {s.unit} typical; {held} {_where(target)}; {tested}"
 
 
 def _where(target: TargetCard) -> str:
@@ -129,15 +78,7 @@ def _held(s: ScoreCard, coverage: float) -> str:
     return f"{'only ' if s.coverage_90_high < coverage else ''}{share} %"
 
 
-def _but(s: ScoreCard, ends: Sequence[OuterRange], coverage: float) -> str:
-    failed = [end for end in ends if end.high < coverage]
-    if not failed or s.coverage_90_high < coverage:
-        return ""
-    named = [f"{end.where} only {end.covered} of {end.n}" for end in failed]
-    return ", but " + " and ".join(named)
-
-
-def verdict(target: TargetCard, ends: Sequence[OuterRange] = (), groups: int | None = None) -> str:
+def verdict(target: TargetCard, groups: int | None = None) -> str:
     """Return the meaning of a target's scores, in one sentence.
 
     Args:
@@ -157,7 +98,7 @@ def verdict(target: TargetCard, ends: Sequence[OuterRange] = (), groups: int | N
     return (
         f"Off by {mae} {s.unit} on average{_times(s)}. The 90 % intervals are "
         f"{width_text(s.half_width, target.period, s.unit)} wide on average and covered the truth in "
-        f"{covered} % of rows (95 % interval {low} to {high} %), {_promise(target, ends)}."
+        f"{covered} % of rows (95 % interval {low} to {high} %), {_promise(target)}."
     )
 
 
@@ -165,39 +106,17 @@ def _times(s: ScoreCard) -> str:
     return f", {s.mean_mae / s.mae:.1f} times less than always saying the mean" if s.mae > 0 else ""
 
 
-def _promise(target: TargetCard, ends: Sequence[OuterRange]) -> str:
+def _promise(target: TargetCard) -> str:
     s = target.score
-    failed = [end for end in ends if end.high < 0.9]
-    unsure = [end for end in ends if end.low <= MIN_TOLD and end not in failed]
-    named = "; ".join(
-        f"{end.where} only {_covered(end)}, with a mean error of {_signed(end.bias, s.half_width)} {s.unit}"
-        for end in failed
-    )
-    told = f"; too few rows or groups to judge {', '.join(f'{e.where}: {_covered(e)}' for e in unsure)}"
-    more = told if unsure else ""
     if s.coverage_90_high < 0.9:
-        return f"less often than they promise{'; ' if named else ''}{named}{more}"
+        return "less often than they promise"
     if s.coverage_90_low <= MIN_TOLD:
         return "which so few groups cannot judge"
-    if failed:
-        return f"but not over the whole range: {named}{more}"
+    if target.over_range is not None and failing(target.over_range.tenths):
+        return "but not over the whole range"
     if s.coverage_90_low > 0.9:
-        return f"more often than they promise: they are wide{more}"
-    if target.circular is not None:
-        return "as promised over all rows"
-    if not ends:
-        return "as promised over all rows; there are too few to judge the ends of the range"
-    return f"as promised over all rows{more}" if unsure else "as promised, at both ends of the range too"
-
-
-def _covered(end: OuterRange) -> str:
-    low, high = (percent(share, end.low, end.high) for share in (end.low, end.high))
-    return f"{end.covered} of {end.n} (95 % interval {low} to {high} %)"
-
-
-def _signed(value: float, half_width: float) -> str:
-    shown = rounded(value, half_width)
-    return shown if shown.startswith("-") or float(shown) == 0 else f"+{shown}"
+        return "more often than they promise: they are wide"
+    return "as promised over all rows"
 
 
 def reading_half_width(target: TargetCard, table: pd.DataFrame) -> float | None:

@@ -18,9 +18,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import t as student
 
-from palpate.calibration.calibration_job import CalibrationJob
+from palpate.calibration.calibration_job import CalibrationJob, preparation_of
 from palpate.calibration.calibration_plan import CalibrationPlan
-from palpate.calibration.fitting import preparation_of
 from palpate.core import InputError, Progress, silent
 from palpate.estimators.networks import make_model
 from palpate.estimators.networks.model_interface import predict_rows

@@ -148,7 +148,7 @@ class PalmCompact:
         patience: Epochs without gain on watched groups before it stops; 0 trains to the end on all rows.
         watched: Fraction of groups watched with `patience`.
         moments: Whether `MirrorPlace` estimates x and y, for differential crops.
-        processes: Number of rendering processes; the result does not depend on it. 1 under torchrun.
+        processes: Number of rendering processes; the result does not depend on it.
         variation: Strength of `two_view_variation`; 0 for none.
     """
 

@@ -24,7 +24,8 @@ from palpate.core import Indices, InputError, Progress, Tensor, Values, silent
 from palpate.core.optional_imports import optional_imports
 from palpate.estimators.networks.model_interface import TrainingData, TrainingRecord
 from palpate.estimators.networks.onnx_graph import image_to_value
-from palpate.estimators.networks.resnet import FEATURES, FittedPerceptron, PixelMlp, ResNet18
+from palpate.estimators.networks.pixel_models import FittedPerceptron, PixelMlp
+from palpate.estimators.networks.resnet import FEATURES, ResNet18
 from palpate.estimators.networks.torch_export import TorchGraph
 from palpate.sensors.palm.networks import FORCES, PLACE
 from palpate.sensors.palm.networks.palm_training import (

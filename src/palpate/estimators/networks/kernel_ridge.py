@@ -22,9 +22,10 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from sklearn.model_selection import GroupKFold
 
 from palpate.core import Float, Float32, Indices, InputError, Progress, Tensor, Values, silent
-from palpate.estimators.networks.kernel.image_features import BlurredPixels, ImageFeatures, pin_moments
+from palpate.estimators.networks.image_features import BlurredPixels, ImageFeatures, pin_moments
 from palpate.estimators.networks.model_interface import (
     MIN_ERROR,
+    BuiltInModel,
     ModelChoice,
     Scaler,
     TrainingData,
@@ -32,7 +33,7 @@ from palpate.estimators.networks.model_interface import (
     typical_error,
 )
 from palpate.estimators.networks.onnx_graph import OnnxGraph
-from palpate.estimators.networks.pca_ridge import principal_axes
+from palpate.estimators.networks.pixel_models import principal_axes
 
 Scores = Float[np.ndarray, "n k"]
 
@@ -233,7 +234,7 @@ class _Way:
 
 
 @dataclass(frozen=True, slots=True)
-class KernelRidge:
+class KernelRidge(BuiltInModel):
     """Kernel ridge regression whose features, kernel, and penalties are chosen by inner folds.
 
     Features, kernel width, linear part, and metric are chosen in turn, each with its penalty for each target;
@@ -279,14 +280,8 @@ class KernelRidge:
                 f"pin_windows are {self.pin_windows}; each is above 0, in distances between pins"
             )
 
-    def fit(
-        self,
-        data: TrainingData,
-        rows: Indices,
-        *,
-        seed: int,
-        progress: Progress = silent,
-        checkpoint: Path | None = None,
+    def _fit(
+        self, data: TrainingData, rows: Indices, seed: int, progress: Progress, checkpoint: Path | None
     ) -> FittedKernelRidge:
         rng = np.random.default_rng(seed)
         few = rows if len(rows) <= self.search_rows else np.sort(rng.choice(rows, self.search_rows, False))
