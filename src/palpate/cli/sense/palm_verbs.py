@@ -34,7 +34,6 @@ def fit(
     Example: palpate calibrate --method palm-unit runs/weights --preset demo --out mine.json
     """
     from palpate.core import refuse_existing
-    from palpate.sensors.palm.copies.copy_estimate import unsure_constants
     from palpate.sensors.palm.copies.palm_copy_fit import (
         MAX_REACH,
         design_for,
@@ -51,9 +50,8 @@ def fit(
         pictured = pictured_presses(run, presses, force_share, within_m, ball)
         known = design_for(preset, pictured[0].image.shape[:2], friction)
         found = fit_copy(known, pictured, tell)
-        unsure = unsure_constants(found.copy, tell)
     write_copy(found.copy, preset, out)
-    answer = _copy_answer(found) | {"unsure": [one._asdict() for one in unsure], "copy": str(out)}
+    answer = _copy_answer(found) | {"copy": str(out)}
     print_found(answer, _copy_text(answer))
 
 
@@ -201,16 +199,6 @@ def _copy_text(answer: dict[str, Any]) -> str:
         f"  by {wider['presses']} presses held out, intervals of new ones are {wider['place']:.2f} times as "
         f"wide in place, {wider['depth']:.2f} in depth and {wider['force']:.2f} in force"
     )
-    lines += [_unsure_text(one) for one in answer["unsure"]]
     if untold:
         lines.append(f"  not told by these presses: {untold}; press at other places and depths")
     return "\n".join([*lines, f"copy: {answer['copy']}"])
-
-
-def _unsure_text(one: dict[str, Any]) -> str:
-    return (
-        f"  {one['constant']} is told to ± {one['half_share']:.1%} only: {one['fault']} hides it, which owes "
-        f"{one['owed']:.0%} of that; a press of {one['force_n']:.2g} N at ({1e3 * one['x_m']:.0f}, "
-        f"{1e3 * one['y_m']:.0f}) mm, {1e3 * one['depth_m']:.1f} mm deep, would make it ± "
-        f"{one['then_share']:.1%}"
-    )

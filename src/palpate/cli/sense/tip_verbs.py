@@ -241,10 +241,6 @@ def _copy_answer(found: TipCopyFit) -> dict[str, Any]:
         "zeros": [
             {"approach": z.approach, "zero_mm": z.zero_mm, "half_mm": COVERED * z.sd_mm} for z in found.zeros
         ],
-        "helpful": [
-            {"press": one.press, "force_N": one.force_n, "term": one.term, "spread_ratio": one.ratio}
-            for one in found.helpful
-        ],
         "presses": len(found.presses), "off_px": max(one.off_px for one in found.presses),
         "forces_off_deviations": found.forces_off,
     }  # fmt: skip
@@ -272,9 +268,4 @@ def _copy_text(answer: dict[str, Any]) -> str:
     if answer["untold"]:
         lines.append(f"  not told by these presses: {', '.join(answer['untold'])}")
     lines += [f"  not told apart: {first}, {second}" for first, second in answer["tied"]]
-    lines += [
-        f"  would help: {one['press']} ({one['term']} to {one['spread_ratio']:.0%} of its spread)"
-        + ("" if one["force_N"] is None else f" at {one['force_N']:.2g} N")
-        for one in answer["helpful"]
-    ]
     return "\n".join([*lines, f"copy: {answer['copy']}"])
