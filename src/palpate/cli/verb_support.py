@@ -10,7 +10,7 @@ import shlex
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -349,6 +349,61 @@ def vectors_of(pairs: list[str]) -> dict[str, tuple[str, ...]]:
     return vectors
 
 
-def print_found(result: Any, text: str) -> None:
-    """Print what was found, as text or as JSON."""
-    say(json.dumps(result, indent=1, allow_nan=False) if as_json() else text)
+def print_found(result: Any, text: str | None = None) -> None:
+    """Print what was found as JSON, or else as a text, by default its fields."""
+    if as_json():
+        say(json.dumps(result, indent=1, allow_nan=False))
+    else:
+        say(fields_text(result) if text is None else text)
+
+
+def fields_text(record: Mapping[str, Any], indent: str = "") -> str:
+    """Return the fields of a record, a line each under their names in JSON; rows of equal fields are a table.
+
+    Example:
+        >>> print(fields_text({"force_N": 2.0, "terms": {"lamp": {"value": 0.1, "sd": 0.02}}}))
+        force_N  2
+        terms  value  sd
+        lamp   0.1    0.02
+    """
+    wide = max((len(name) for name, value in record.items() if not _rows_of(value)), default=0)
+    lines = []
+    for name, value in record.items():
+        if not (rows := _rows_of(value)):
+            lines.append(f"{indent}{name:{wide}}  {_field_text(value)}")
+        elif (columns := _columns_of(rows)) is None:
+            lines += [f"{indent}{name}", fields_text(rows, indent + "  ")]
+        else:
+            cells = [[name, *columns]]
+            cells += [[one, *(_field_text(row[key]) for key in columns)] for one, row in rows.items()]
+            widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+            lines += [
+                indent + "  ".join(f"{cell:{w}}" for cell, w in zip(row, widths, strict=True)).rstrip()
+                for row in cells
+            ]
+    return "\n".join(lines)
+
+
+def _rows_of(value: Any) -> dict[str, Any]:
+    """Records or fields within a value, by name or number; none of a plain value."""
+    if isinstance(value, Mapping):
+        return dict(value)
+    holds = isinstance(value, list) and bool(value) and all(isinstance(one, Mapping) for one in value)
+    return {str(i): one for i, one in enumerate(value, 1)} if holds else {}
+
+
+def _columns_of(rows: Mapping[str, Any]) -> list[str] | None:
+    """Fields that all rows share; None where they differ, or hold more than a plain value."""
+    fields = [list(row) if isinstance(row, Mapping) else [] for row in rows.values()]
+    nested = any(_rows_of(one) for row in rows.values() if isinstance(row, Mapping) for one in row.values())
+    return fields[0] if fields[0] and not nested and all(one == fields[0] for one in fields) else None
+
+
+def _field_text(value: Any) -> str:
+    if value is None:
+        return "-"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, list | tuple):
+        return ", ".join(map(_field_text, value)) or "none"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -78,7 +78,7 @@ def run(
 
         status = _watch(session, seconds, ending, take)
     answer = _answer(status, session.law, seen, samples)
-    print_found(answer, _text(answer))
+    print_found(answer)
     if answer["ended_by_fault"]:
         raise SafetyError(f"the rendering ended by itself: {status.why}")
 
@@ -224,32 +224,6 @@ def _answer(
         **{f"force_{cue}_rms_of_peak": value for cue, value in off.items()},
         "file": None if samples is None else str(samples),
     }
-
-
-def _text(answer: dict[str, Any]) -> str:
-    begun = f"{answer['object']}, {answer['mode']}: {answer['periods']} periods"
-    late = f"{answer['late_share']:.3%} longer than 1.5 ms, longest {answer['longest_period_ms']:.1f} ms"
-    lines = [f"{begun}, {late}; ended: {answer['ended']}"]
-    if answer["peak_N"]:
-        kept = [
-            f"{answer[f'force_{cue}_rms_of_peak']:.1%} over {cue}"
-            for cue in ("area", "displacement")
-            if answer[f"force_{cue}_rms_of_peak"] is not None
-        ]
-        lines.append(
-            f"  pressed to {answer['peak_N']:.2f} N as the devices measure it, from pressure and area; off "
-            f"by {' and '.join(kept)} (root mean square of the peak)"
-        )
-    else:
-        lines.append("  no finger pressed")
-    if answer["file"] is not None:
-        lines.append(f"  {answer['samples']} samples in {answer['file']}")
-    lines.append(
-        "simulated: display, arm and finger are virtual; no device was measured"
-        if answer["simulated"]
-        else "the devices' own sensors say so; nothing else measured the force on the finger"
-    )
-    return "\n".join(lines)
 
 
 def stop(name: Annotated[str, Option(help="Name of the bench, as its file has it.")] = DEFAULT_BENCH) -> None:

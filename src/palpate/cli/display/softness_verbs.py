@@ -163,39 +163,12 @@ def _tell(cue: str | None, bodies: list[Body], poisson: float, force_n: float, f
             for body in (one, other)
         }
         write_pair_figure(named, finger, force_n, figure)
-    _print_drawn(answer, _pair_text(answer), figure)
+    _print_drawn(answer, figure)
 
 
-def _pair_text(answer: dict[str, Any]) -> list[str]:
-    ways, areas = answer["displacement_mm"], answer["area_mm2"]
-    at, equal = answer["force_ratio_at_equal_displacement"], answer["force_ratio_at_equal_area"]
-    lines = [
-        f"at {answer['force_N']:g} N: displacements {_two(ways, 3)} mm, areas {_two(areas, 2)} mm²",
-        f"force of the other over the first's: {at:.4f} at equal displacement, {equal:.4f} at equal area",
-        answer["law"],
-    ]
-    if answer["alike_to"] is not None:
-        lines.insert(
-            0, f"alike in the {answer['alike_to']} cue: a radius of {answer['other_radius_mm']:.4f} mm"
-        )
-    if not answer["in_hertz_range"]:
-        lines.append(
-            f"the contact's radius is {answer['contact_radius_over_ball_radius']:.2f} of a ball's, and Hertz "
-            f"is good to {HERTZ_RADIUS:g}: take less force for numbers, these show the idea alone"
-        )
-    return lines
-
-
-def _print_drawn(answer: dict[str, Any], lines: list[str], figure: Path | None) -> None:
+def _print_drawn(answer: dict[str, Any], figure: Path | None) -> None:
     """Print an answer, with the picture that was drawn of it."""
-    if figure is not None:
-        answer["figure"] = str(figure)
-        lines = [*lines, f"picture: {figure}"]
-    print_found(answer, "\n".join(lines))
-
-
-def _two(values: list[float], digits: int) -> str:
-    return " and ".join(f"{value:.{digits}f}" for value in values)
+    print_found(answer if figure is None else answer | {"figure": str(figure)})
 
 
 def specimens(
@@ -236,7 +209,7 @@ def specimens(
         from palpate.reports.softness_figures import write_specimen_figure
 
         write_specimen_figure({one.value: felt[one] for one in classes}, force_n, figure)
-    _print_drawn(answer, _specimen_text(answer), figure)
+    _print_drawn(answer, figure)
 
 
 def _moduli(text: str) -> list[float]:
@@ -273,27 +246,6 @@ def _class_record(stacks: Sequence[StackedSpecimen], felt: Sequence[SoftObject])
             for i in range(len(felt) // 2)
         ]
     return record
-
-
-def _specimen_text(answer: dict[str, Any]) -> list[str]:
-    lines = [f"at {answer['force_N']:g} N"]
-    for record in answer["classes"].values():
-        lines += [
-            f"  {one['name']:22}{one['displacement_mm']:8.4f} mm{one['area_mm2']:9.2f} mm²"
-            for one in record["specimens"]
-        ]
-        lines.append(
-            f"    apart by {record['displacement_spread']:.2%} in displacement and "
-            f"{record['area_spread']:.2%} in area"
-        )
-        lines += [
-            f"    {pair['names'][1]} over its mirror: {pair['displacement_ratio']:.4f} in displacement, "
-            f"{pair['area_ratio']:.4f} in area"
-            for pair in record.get("mirrored", [])
-        ]
-        if "series_spread" in record:
-            lines.append(f"    as springs in a line apart by {record['series_spread']:.2%}")
-    return [*lines, answer["model"]]
 
 
 @display_app.command()
@@ -342,7 +294,7 @@ def envelope(
         from palpate.reports.softness_figures import write_envelope_figure
 
         write_envelope_figure(law, figure)
-    _print_drawn(answer, _envelope_text(answer), figure)
+    _print_drawn(answer, figure)
 
 
 def _spans(state: Rendered) -> list[dict[str, Any]]:
@@ -360,22 +312,6 @@ def _spans(state: Rendered) -> list[dict[str, Any]]:
         }
         for low, high in itertools.pairwise(bounds)
     ]
-
-
-def _envelope_text(answer: dict[str, Any]) -> list[str]:
-    from palpate.softness.rendering_law import LIMIT_WORDS
-
-    lines = [f"{answer['object']} ({answer['source']}), {answer['mode']}"]
-    lines += [
-        f"  {one['from_mm2']:7.2f} to {one['to_mm2']:7.2f} mm², to {one['force_N']:.3f} N: "
-        f"{LIMIT_WORDS[one['limit']] if one['limit'] else 'rendered as it is'}"
-        for one in answer["spans"]
-    ]
-    share, kpa, most_n = (
-        answer[name] for name in ("rendered_share_of_way", "greatest_pressure_kPa", "greatest_force_N")
-    )
-    lines += [f"{share:.1%} of the display's way; at most {kpa:.2f} kPa and {most_n:.3f} N", answer["model"]]
-    return lines
 
 
 @display_app.command()
@@ -417,7 +353,7 @@ def simulate(
         from palpate.reports.softness_figures import write_tracking_figure
 
         write_tracking_figure(felt, figure)
-    _print_drawn(answer, _simulated_text(answer), figure)
+    _print_drawn(answer, figure)
 
 
 def _simulated(felt: Rendering, servo: str) -> dict[str, Any]:
@@ -446,35 +382,6 @@ def _simulated(felt: Rendering, servo: str) -> dict[str, Any]:
         "given_back_mJ": felt.given_back_j * 1e3,
         "model": "simulated: gas, valve, sleeve, arm and finger by equations; no device was measured",
     }  # fmt: skip
-
-
-def _simulated_text(answer: dict[str, Any]) -> list[str]:
-    pressed = (
-        f"{answer['object']}, {answer['mode']}, presses at {answer['frequency_Hz']:g} Hz to "
-        f"{answer['peak_N']:.2f} N, servo {answer['servo']}"
-    )
-    most = (
-        f"  at most {answer['greatest_pressure_kPa']:.1f} kPa and {answer['greatest_N']:.2f} N; the surface "
-        f"moved by {answer['greatest_surface_motion_mm']:.2f} mm at most"
-    )
-    return [
-        pressed,
-        f"  {answer['inside_envelope_share']:.0%} of the time in touch inside the envelope",
-        _kept("area", "a rigid plate is in the display's place", answer),
-        _kept("displacement", "the arm holds the surface still", answer),
-        most,
-        f"  energy given back beyond what was taken: {answer['given_back_mJ']:.3f} mJ over all presses",
-        answer["model"],
-    ]
-
-
-def _kept(cue: str, why_not: str, answer: dict[str, Any]) -> str:
-    off = answer[f"force_{cue}_rms_of_peak"]
-    if off is None:
-        return f"  force over {cue}: not rendered, {why_not}"
-    inside = off["inside_envelope"]
-    within = "" if inside is None else f", {inside:.2%} inside the envelope"
-    return f"  force over {cue}: off by {off['all']:.2%} of the peak{within} (root mean square)"
 
 
 @display_app.command()
@@ -520,19 +427,7 @@ def bench_test(
         from palpate.reports.softness_figures import write_bench_test_figure
 
         write_bench_test_figure(test, figure)
-    lines = [
-        (
-            f"{len(test.points)} points to {test.peak_n:.2f} N: the law P = p A(s) + k s is off by "
-            f"{test.rms_n * 1e3:.2g} mN, {100 * test.rms_n / test.peak_n:.2g} % of the peak (root mean "
-            "square)"
-        ),
-        (
-            f"  fitted: {fit.scale:.4f} ± {fit.scale_error:.4f} of p A(s), a sleeve of {fit.sleeve_n_m:.1f} "
-            f"N/m, friction {fit.friction_n * 1e3:.1f} mN"
-        ),
-        answer["model"],
-    ]
-    _print_drawn(answer, lines, figure)
+    _print_drawn(answer, figure)
 
 
 display_app.command("run")(rendering_verbs.run)

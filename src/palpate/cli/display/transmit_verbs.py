@@ -145,52 +145,7 @@ def _keep(
         for one in found:
             (folder / f"{one.name}.toml").write_text(object_file(one), encoding="utf-8")
     record["out"] = str(out)
-    print_found(record, _text(record))
-
-
-def _text(record: dict[str, Any]) -> str:
-    lines = []
-    for one in record["objects"]:
-        cue = one["displacement"]
-        known = "" if cue["true"] is None else f"; the object itself {cue['true']:.4g}"
-        lines.append(
-            f"{one['name']:8} felt {cue['felt']:.4g} N/mm ({cue['low']:.4g} to {cue['high']:.4g}, 90 %)"
-            f"{known}; {one['inside']:.0%} of the press rendered as it is"
-        )
-    for stage, one in record["judged"].items():
-        pairs = ", ".join(f"{pair} {p:.0%}" for pair, p in one["pairs"].items())
-        lines.append(f"{stage:8} softer one named: {pairs}; places right {one['total']:.0%}")
-    if record["ranks"]:
-        lines.append(f"order kept in what is felt: {'yes' if record['ranks']['felt'] else 'no'}")
-    if study_ := record["study"]:
-        lines += _study_lines(study_)
-    if live := record.get("live"):
-        lines.append(f"live: {live['periods']} periods, peak {live['peak_N']:.2f} N")
-    return "\n".join([*lines, record["simulated"], f"page, numbers and objects: {record['out']}"])
-
-
-def _study_lines(study_: dict[str, Any]) -> list[str]:
-    rigs, (arm, skin) = study_["rigs"], study_["felt_in_order"].values()
-
-    def of(counts: dict[str, int]) -> str:
-        return ", ".join(f"{name} {count}" for name, count in counts.items())
-
-    felt, own = study_["intervals_hold_what_would_be_felt"], study_["intervals_hold_the_object_itself"]
-    sizes, moduli = study_["median_size_of_error"], study_["median_size_of_error_as_modulus"]
-    errors = study_["median_error"]["displacement"]
-    return [
-        f"{rigs} rigs: readings in order {study_['readings_in_order']}, felt {arm} (arm), {skin} (skin)",
-        f"readings hold the truth: {of(study_['readings_hold'])}",
-        f"intervals hold what would be felt, arm: {of(felt['displacement'])}; skin: {of(felt['area'])}",
-        f"they hold the object itself, arm: {of(own['displacement'])}; skin: {of(own['area'])}",
-        *(
-            f"median error, {mark}, arm: "
-            + ", ".join(f"{name} {one:+.1%}" for name, one in errors[mark].items())
-            for mark in errors
-        ),
-        f"median size of the whole: {sizes['displacement']:.1%} (arm), {sizes['area']:.1%} (skin)",
-        f"told as the object's modulus: {moduli['displacement']:.0%} and {moduli['area']:.0%}",
-    ]
+    print_found(record)
 
 
 def _noise(words: str) -> CueNoise:

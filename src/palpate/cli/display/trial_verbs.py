@@ -129,13 +129,7 @@ def export(
     from palpate.psychophysics.experiments import export_trials, read_design
 
     found = export_trials(read_design(folder), out, rehearsal)
-    text = (
-        f"{out}: {found.judgements} judgements of {len(found.participants)} participants, "
-        f"{len(found.complete)} of whom have answered all"
-    )
-    if found.simulated:
-        text += "\nsimulated: no measurement"
-    print_found(asdict(found) | {"folder": str(out)}, text)
+    print_found(asdict(found) | {"folder": str(out)})
 
 
 def analyze(

@@ -52,7 +52,7 @@ def fit(
         found = fit_copy(known, pictured, tell)
     write_copy(found.copy, preset, out)
     answer = _copy_answer(found) | {"copy": str(out)}
-    print_found(answer, _copy_text(answer))
+    print_found(answer)
 
 
 def known(
@@ -85,13 +85,7 @@ def known(
         "coefficient_per_Pa": copy.coefficient_per_pa,
         "coefficient_share": COVERED * copy.coefficient_share, "coverage": 0.9, "copy": str(out),
     }  # fmt: skip
-    text = (
-        f"C {copy.coefficient_per_pa:.3g} /Pa ± {answer['coefficient_share']:.1%} as measured, E "
-        f"{copy.modulus_pa / 1e3:.1f} kPa ± {answer['modulus_share']:.0%} as designed (90 %)\n"
-        f"lamp, mirror and regions as designed; known forces tell them better (--method palm-unit)\n"
-        f"copy: {out}"
-    )
-    print_found(answer, text)
+    print_found(answer)
 
 
 def read(image: Picture, reference: Untouched, copy: UnitFile) -> None:
@@ -114,12 +108,7 @@ def read(image: Picture, reference: Untouched, copy: UnitFile) -> None:
         "depth_half_mm": 1e3 * COVERED * found.depth_sd_m, "coverage": 0.9, "off_of_white": found.off,
         "misfit": found.misfit, "valid": True, "code": "", "drift": drift.to_dict(),
     }  # fmt: skip
-    text = (
-        f"{found.force_n:.3f} N ({force[0]:.3f} to {force[1]:.3f}) at ({answer['x_mm']:.2f}, "
-        f"{answer['y_mm']:.2f}) mm, {answer['depth_mm']:.3f} mm deep; 90 % intervals, as far as this "
-        f"model of the palm is right: the picture differs from its own by {found.off:.1%} of white"
-    )
-    print_found(answer, text)
+    print_found(answer)
 
 
 def weigh(
@@ -155,16 +144,7 @@ def weigh(
         "coefficient_change": check.coefficient_change,
         "coefficient_deviations": check.coefficient_deviations, "drifted": list(check.drifted),
     }  # fmt: skip
-    said = "as calibrated"
-    if check.drifted:
-        said = f"changed: {', '.join(check.drifted)}; if all of it rests on the ball, fit the copy anew"
-    text = (
-        f"weight {check.force_n:.3f} N, read {check.read_n:.3f} N\n"
-        f"  modulus {check.modulus_change:+.1%} ({check.modulus_deviations:+.1f} standard deviations), "
-        f"stress-optic coefficient {check.coefficient_change:+.1%} ({check.coefficient_deviations:+.1f})\n"
-        f"{said}"
-    )
-    print_found(answer, text)
+    print_found(answer)
 
 
 def _copy_answer(found: CopyFit) -> dict[str, Any]:
@@ -177,28 +157,3 @@ def _copy_answer(found: CopyFit) -> dict[str, Any]:
         "presses": len(found.presses),
         "off_of_white": max(one.off for one in found.presses),
     }  # fmt: skip
-
-
-def _copy_text(answer: dict[str, Any]) -> str:
-    untold = ", ".join(answer["untold"])
-    head = (
-        f"E {answer['modulus_Pa'] / 1e3:.1f} kPa ± {answer['modulus_share']:.1%}, C "
-        f"{answer['coefficient_per_Pa']:.3g} /Pa ± {answer['coefficient_share']:.1%} (90 %), from "
-        f"{answer['presses']} presses"
-    )
-    lines = [
-        head,
-        f"  pictures differ from the copy's by {answer['off_of_white']:.1%} of white at most",
-        *(
-            f"  {name}: {one['value']:+.4g} ± {COVERED * one['standard_deviation']:.2g}"
-            for name, one in answer["terms"].items()
-        ),
-    ]
-    wider = answer["widening"]
-    lines.append(
-        f"  by {wider['presses']} presses held out, intervals of new ones are {wider['place']:.2f} times as "
-        f"wide in place, {wider['depth']:.2f} in depth and {wider['force']:.2f} in force"
-    )
-    if untold:
-        lines.append(f"  not told by these presses: {untold}; press at other places and depths")
-    return "\n".join([*lines, f"copy: {answer['copy']}"])

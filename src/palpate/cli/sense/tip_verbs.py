@@ -47,7 +47,7 @@ def fit(
     picture = TipPicture(found.fit.tip.rest_px, *shown, judged.by_pin_px, left)
     write_tip_files(out, record, reader_record(found.reader, found.known.layout), picture)
     record["out"] = str(out)
-    print_found(record, _text(record))
+    print_found(record)
 
 
 def read(
@@ -71,56 +71,11 @@ def read(
             read = reader.read(labelled.places_px)
         record = reading_record(read, labelled.poses, len(reader.error.known))
         record["taps_left_out"] = labelled.lost
-        print_found(record, _judged_text(record))
+        print_found(record)
         return
     with progress_bar() as progress:
         rows = read_images(reader, layout, taps, progress)
-    print_found({"coverage": 0.9, "readings": rows}, "\n".join(map(_reading_text, rows)))
-
-
-def _judged_text(record: dict[str, Any]) -> str:
-    lines = [f"{record['all']['taps']} taps read, {record['taps_left_out']} whose pins could not be named"]
-    for name in ("all", "valid"):
-        if not (part := record[name])["taps"]:
-            continue
-        lines.append(f"{name}: {part['taps']} taps")
-        errors, held = part["mean_absolute_error"], part["held_by_90_percent"]
-        lines += [
-            f"  {what:14}{error:8.3g} off in the mean; 90 % intervals hold {held[what]:.0%} of the labels"
-            for what, error in errors.items()
-        ]
-    return "\n".join(lines)
-
-
-def _reading_text(row: dict[str, Any]) -> str:
-    if row["pose"] is None:
-        return f"{row['image']}: not valid: {row['why']}"
-    said = ", ".join(
-        f"{name} {value:.3g} ± {row['half_width'][name]:.2g}" for name, value in row["pose"].items()
-    )
-    return f"{row['image']}: {said}" + ("" if row["valid"] else f"; not valid: {row['why']}")
-
-
-def _text(record: dict[str, Any]) -> str:
-    registered, lost = record["taps_registered"], record["taps_left_out"]
-    lines = [f"{registered[0]} and {registered[1]} taps registered, {lost[0]} and {lost[1]} left out"]
-    lines.append(f"fitted to {record['taps_fitted']}")
-    lines += [
-        f"  {name:20}{one['value']:9.3f}   ({one['low']:.3f} to {one['high']:.3f}, 90 %)"
-        for name, one in record["terms"].items()
-    ]
-    if record["untold"]:
-        lines.append(f"not told by these taps: {', '.join(record['untold'])}")
-    lines += [f"not told apart: {first}, {second}" for first, second in record["tied"]]
-    lines.append(
-        f"on the other taps pins are {record['residual_px']:.2f} px off, of {record['motion_px']:.1f} px of "
-        f"motion; the floor is {record['floor_px']:.2f} px ({record['floor']}); "
-        f"with its learnt error the tip is {record['residual_with_learnt_error_px']:.2f} px off"
-    )
-    lines.append(f"poses of the other taps, read after {record['taps_fitted']} taps:")
-    lines.append(_judged_text(record["reading"] | {"taps_left_out": lost[1]}))
-    lines.append(f"picture and numbers: {record['out']}")
-    return "\n".join(lines)
+    print_found({"coverage": 0.9, "readings": rows})
 
 
 UnitFile = Annotated[Path, Option("--with", help="File of the unit, as `palpate calibrate` made it.")]
@@ -160,7 +115,7 @@ def calibrate(
         found = fit_tip_copy(design, known, tell)
     write_tip_copy(found.copy, preset, out)
     answer = _copy_answer(found) | {"copy": str(out)}
-    print_found(answer, _copy_text(answer))
+    print_found(answer)
 
 
 def force(image: Loaded, reference: RestFrame, copy: UnitFile) -> None:
@@ -180,11 +135,7 @@ def force(image: Loaded, reference: RestFrame, copy: UnitFile) -> None:
         "force_N": found.force_n, "force_low_N": low, "force_high_N": high, "depth_mm": found.depth_mm,
         "depth_half_mm": half, "coverage": 0.9, "off_px": found.off_px, "motion_px": found.motion_px,
     }  # fmt: skip
-    text = (
-        f"{found.force_n:.3f} N ({low:.3f} to {high:.3f}), {found.depth_mm:.3f} ± {half:.3f} mm deep; 90 % "
-        "intervals, for a flat rigid plate and as far as this model of the tip is right"
-    )
-    print_found(answer, text)
+    print_found(answer)
 
 
 def weigh(
@@ -212,15 +163,7 @@ def weigh(
         "ratio_change": check.ratio_change, "ratio_deviations": check.ratio_deviations,
         "least_change": check.least_change, "drifted": list(check.drifted),
     }  # fmt: skip
-    said = f"changed: {', '.join(check.drifted)}; calibrate anew" if check.drifted else "as calibrated"
-    text = (
-        f"weight {check.force_n:.3f} N, read {check.read_n:.3f} N at {check.depth_mm:.2f} mm\n"
-        f"  stiffness {check.stiffness_change:+.1%} ({check.stiffness_deviations:+.1f} standard deviations; "
-        f"from {check.least_change:.1%} it is said), ratio of skin and gel {check.ratio_change:+.0%} "
-        f"({check.ratio_deviations:+.1f})\n"
-        f"{said}"
-    )
-    print_found(answer, text)
+    print_found(answer)
 
 
 def _press(known: TipCopy, image: Path, reference: Path) -> PlatePress:
@@ -244,28 +187,3 @@ def _copy_answer(found: TipCopyFit) -> dict[str, Any]:
         "presses": len(found.presses), "off_px": max(one.off_px for one in found.presses),
         "forces_off_deviations": found.forces_off,
     }  # fmt: skip
-
-
-def _copy_text(answer: dict[str, Any]) -> str:
-    head = (
-        f"{answer['force_at_3_mm_N']:.3f} N at 3 mm ± {answer['stiffness_share']:.1%} (90 %), from "
-        f"{answer['presses']} presses; skin {answer['skin_Pa'] / 1e3:.0f} kPa and gel "
-        f"{answer['gel_Pa'] / 1e3:.1f} kPa, if dome and skin are as thick as the tables'"
-    )
-    off = (
-        f"  pins differ from the copy's by {answer['off_px']:.2f} px at most, forces by "
-        f"{answer['forces_off_deviations']:.1f} standard deviations (rms)"
-    )
-    lines = [
-        head,
-        off,
-        *(f"  {name:11}{one['value']:+10.4f} ± {one['half']:.2g}" for name, one in answer["terms"].items()),
-        *(
-            f"  approach {one['approach']}: apex at {one['zero_mm']:.3f} ± {one['half_mm']:.2g} mm"
-            for one in answer["zeros"]
-        ),
-    ]
-    if answer["untold"]:
-        lines.append(f"  not told by these presses: {', '.join(answer['untold'])}")
-    lines += [f"  not told apart: {first}, {second}" for first, second in answer["tied"]]
-    return "\n".join([*lines, f"copy: {answer['copy']}"])

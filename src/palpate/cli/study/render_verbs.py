@@ -99,7 +99,7 @@ def palm(
     result: dict[str, Any] = palms.contact_summary(contact, spec) | {"out": str(out)}
     with new_file(out) as path:
         path.write_bytes(image_files.encode(frame.image).tobytes())
-    print_found(result, "\n".join(f"{name}: {_shown(value)}" for name, value in result.items()))
+    print_found(result)
 
 
 def tactip(
@@ -187,8 +187,7 @@ def tactip(
             late_s=1e-3 * late_ms, hold_s=hold_s, rig=drive, progress=progress,
         )  # fmt: skip
     laws = {name: TacTip(spec).on(words).law for name, words in pressed.items()}
-    result, text = _trials_text(folder, bodies, tilt_deg, runs, laws)
-    print_found(result, text)
+    print_found(_trials_record(folder, bodies, tilt_deg, runs, laws))
 
 
 def _bodies(pairs: list[str], rigid: bool) -> dict[str, float | str]:
@@ -213,15 +212,14 @@ def _bodies(pairs: list[str], rigid: bool) -> dict[str, float | str]:
     return bodies
 
 
-def _trials_text(
+def _trials_record(
     folder: PressFolder,
     bodies: Mapping[str, float | str],
     tilt_deg: float,
     runs: bool,
     laws: Mapping[str, str],
-) -> tuple[dict[str, Any], str]:
-    """Result as values and as text."""
-    from palpate.workflows.tactip_trials import TRUTH, stiffness_shown
+) -> dict[str, Any]:
+    from palpate.workflows.tactip_trials import stiffness_shown
 
     presses = sum(len(one.presses) for one in folder.specimens)
     shown = {name: stiffness_shown(k) for name, k in bodies.items() if not isinstance(k, str)}
@@ -235,18 +233,7 @@ def _trials_text(
         "stiffness_N_per_mm": shown,
         "model": dict(laws),
     }
-    result |= {"shaped": shaped} if shaped else {}
-    what = "press" if presses == 1 else "presses"
-    lines = [
-        f"{folder.path}: {presses} virtual {what} at {tilt_deg:g} degrees, not measured",
-        *(
-            f"  {name}: {'a rigid plate' if k == 'inf' else f'{k:.4g} N/mm'}, {laws[name]}"
-            for name, k in shown.items()
-        ),
-        *(f"  {name}: {words}, {laws[name]}" for name, words in shaped.items()),
-        f"  a press is a TIFF and a table{' and a run' if runs else ''}; the truth behind them: {TRUTH}",
-    ]
-    return result, "\n".join(lines)
+    return result | ({"shaped": shaped} if shaped else {})
 
 
 def _wear(presses: float, haze: float | None, scratches: int | None, yellowing: float) -> Wear:
@@ -256,7 +243,3 @@ def _wear(presses: float, haze: float | None, scratches: int | None, yellowing: 
     wear = replace(worn(presses), yellowing=yellowing)
     wear = wear if haze is None else replace(wear, haze=haze)
     return wear if scratches is None else replace(wear, scratches=scratches)
-
-
-def _shown(value: object) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else str(value)

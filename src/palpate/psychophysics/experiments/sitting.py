@@ -129,7 +129,7 @@ def enrol(design: ExperimentDesign, participant: str, told: Enrolment) -> Partic
         schedule = make_schedule(design, number, told.simulated)
         record = ParticipantRecord(
             participant, "simulated" if told.simulated else "yes", number, schedule.group.name, quotient,
-            told.age, told.simulated, design.file.seed, design.digests, schedule.digest, __version__,
+            told.age, told.simulated, design.file.seed, dict(design.digests), schedule.digest, __version__,
         )  # fmt: skip
         with new_folder(folder) as part:
             record.write(part)
