@@ -16,7 +16,7 @@ from palpate.core import MonotonicClock
 from palpate.softness import Characteristic, Mode, SoftObject
 from palpate.softness.control import BenchLimits, ReferenceTable, RenderingLoop
 from palpate.softness.control.timed_loop import LATE_S, LoopTiming, run_timed
-from palpate.softness.pressing_finger import FingerPresses
+from palpate.softness.display_parts import FingerPresses
 from palpate.softness.rendering_simulation import law_of
 from palpate.softness.virtual import RenderingBench
 

@@ -18,9 +18,8 @@ def render(*words, status=0):
 
 def test_a_press_is_made_and_said_to_be_virtual(tmp_path) -> None:
     out = tmp_path / "presses"
-    said = render(str(out), "--specimen", "S1=7.6", *FAST).output
-    assert "virtual: yes" in said
-    assert "S1: 7.6" in said
+    said = json.loads(render(str(out), "--specimen", "S1=7.6", "--json", "--quiet", *FAST).stdout)
+    assert (said["virtual"], said["presses"], said["stiffness_N_per_mm"]) == (True, 1, {"S1": 7.6})
     (one,) = press_folder(out).specimens
     assert one.stiffness_n_m == pytest.approx(7600)
     assert len(one.presses) == 1

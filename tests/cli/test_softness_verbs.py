@@ -81,9 +81,8 @@ def test_the_envelope_says_what_is_rendered_and_why_the_rest_is_not(tmp_path: Pa
     assert_allclose(found["spans"][1]["to_mm2"], 132.73, atol=0.01)
     assert_allclose(found["spans"][1]["force_N"], 3.459, atol=2e-3)
     assert (tmp_path / "foam.png").stat().st_size > 1_000
-    weak = palpate("display", "envelope", "--object", file, "--pressure-kpa", 24)
-    assert "needs more pressure" in weak.stdout
-    assert "rendered as it is" in weak.stdout
+    weak = answer("display", "envelope", "--object", file, "--pressure-kpa", 24)
+    assert {"pressure", None} <= {one["limit"] for one in weak["spans"]}
     for wrong, said in ((("--mode", "CM2"), "plate"), (("--pressure-kpa", 1), "more than 1 kPa")):
         ended = palpate("display", "envelope", "--object", file, *wrong)
         assert ended.exit_code == 2

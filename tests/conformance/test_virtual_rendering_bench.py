@@ -2,7 +2,7 @@
 
 from palpate.check import check_arm, check_display
 from palpate.core import ManualClock
-from palpate.softness.pressing_finger import FingerPresses
+from palpate.softness.display_parts import FingerPresses
 from palpate.softness.virtual import RenderingBench
 
 NOBODY = FingerPresses(0.0, gap_m=20e-3)

@@ -4,7 +4,7 @@ import time
 
 from palpate.core import Clock, DisplaySample
 from palpate.softness.control import FlowServo
-from palpate.softness.pressing_finger import FingerPresses
+from palpate.softness.display_parts import FingerPresses
 from palpate.softness.virtual import RenderingBench
 from palpate.softness.virtual.rendering_bench import VirtualDisplay
 

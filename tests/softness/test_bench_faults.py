@@ -18,7 +18,7 @@ from palpate.core import DeviceError, ManualClock
 from palpate.devices.motion_limits import Reason, Tripped
 from palpate.softness import Characteristic, Mode, SoftObject
 from palpate.softness.control import ReferenceTable, RenderingLoop
-from palpate.softness.pressing_finger import FingerPresses, depth_for
+from palpate.softness.display_parts import FingerPresses, depth_for
 from palpate.softness.rendering_simulation import law_of
 from palpate.softness.virtual import BenchParts, RenderingBench, bench_kernel as k
 

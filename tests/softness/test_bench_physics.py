@@ -14,9 +14,9 @@ from palpate.softness.display_parts import (
     ArmMechanics,
     Chamber,
     FingerMechanics,
+    FingerPresses,
     ProportionalValve,
 )
-from palpate.softness.pressing_finger import FingerPresses
 from palpate.softness.virtual import bench_kernel as k
 from palpate.softness.virtual.rendering_bench import STEP_S, BenchParts, RenderingBench
 

@@ -16,8 +16,7 @@ from palpate.mechanics.half_space.hertz import Body
 from palpate.softness import Characteristic, Mode, SoftObject, hertz_object
 from palpate.softness.control.rendering_loop import WISHED, RenderingLoop
 from palpate.softness.control.servos import ArmServo, BenchState, PidServo, ReferenceTable
-from palpate.softness.display_parts import Chamber
-from palpate.softness.pressing_finger import FingerPresses, depth_for
+from palpate.softness.display_parts import Chamber, FingerPresses, depth_for
 from palpate.softness.rendering_simulation import Rendering, law_of, simulate
 from palpate.softness.virtual.rendering_bench import BenchParts, RenderingBench
 

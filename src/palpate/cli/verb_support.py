@@ -381,7 +381,7 @@ def print_record(record: Mapping[str, Any]) -> None:
 
 
 def record_text(record: Mapping[str, Any], indent: str = "") -> str:
-    """A record as lines, one a value; the values of a part stand below its name.
+    """A record as lines, one a value, with a part below its name; rows of equal fields are a table.
 
     Example:
         >>> print(record_text({"force_N": 0.98066, "terms": {"lamp": 1.0}, "untold": []}))
@@ -389,17 +389,41 @@ def record_text(record: Mapping[str, Any], indent: str = "") -> str:
         terms:
           lamp: 1
         untold: none
+        >>> print(record_text({"terms": {"lamp": {"value": 0.1, "sd": 0.02}}}))
+        terms  value  sd
+        lamp   0.1    0.02
     """
     lines = []
     for name, value in record.items():
-        label = f"{indent}{_label(name)}:"
-        if isinstance(value, Mapping) and value:
-            lines += [label, record_text(value, f"{indent}  ")]
-        elif isinstance(value, list) and any(isinstance(one, Mapping) for one in value):
-            lines += [label, *(f"{indent}  {in_line(one)}" for one in value)]
+        label, rows = _label(name), _rows_of(value)
+        if not rows:
+            lines.append(f"{indent}{label}: {in_line(value)}")
+        elif (columns := _columns_of(rows)) is None:
+            lines += [f"{indent}{label}:", record_text(rows, f"{indent}  ")]
         else:
-            lines.append(f"{label} {in_line(value)}")
+            cells = [[label, *map(_label, columns)]]
+            cells += [[row, *(in_line(one[key]) for key in columns)] for row, one in rows.items()]
+            wide = [max(map(len, column)) for column in zip(*cells, strict=True)]
+            lines += [
+                indent + "  ".join(f"{cell:{w}}" for cell, w in zip(row, wide, strict=True)).rstrip()
+                for row in cells
+            ]
     return "\n".join(lines)
+
+
+def _rows_of(value: Any) -> dict[str, Any]:
+    """Records or fields within a value, by name or number; none of a plain value."""
+    if isinstance(value, Mapping):
+        return dict(value)
+    holds = isinstance(value, list) and bool(value) and all(isinstance(one, Mapping) for one in value)
+    return {str(i): one for i, one in enumerate(value, 1)} if holds else {}
+
+
+def _columns_of(rows: Mapping[str, Any]) -> list[str] | None:
+    """Fields that all rows share; None where they differ, or hold more than a plain value."""
+    fields = [list(row) if isinstance(row, Mapping) else [] for row in rows.values()]
+    nested = any(_rows_of(one) for row in rows.values() if isinstance(row, Mapping) for one in row.values())
+    return fields[0] if fields[0] and not nested and all(one == fields[0] for one in fields) else None
 
 
 def _label(name: str) -> str:

@@ -11,7 +11,7 @@ from palpate.core import Clock, Float, ManualClock, Progress, ndarray, silent
 from palpate.softness.characteristics import SoftObject
 from palpate.softness.control.rendering_loop import PERIOD_S, RenderingLoop
 from palpate.softness.control.servos import PressureServo, ReferenceTable
-from palpate.softness.pressing_finger import FingerPresses, depth_for
+from palpate.softness.display_parts import FingerPresses, depth_for
 from palpate.softness.rendering_law import DisplayBounds, Mode, RenderingLaw
 from palpate.softness.virtual.rendering_bench import WATCHDOG_S, BenchParts, BenchTruth, RenderingBench
 

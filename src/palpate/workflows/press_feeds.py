@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from palpate.core import (
@@ -20,7 +21,7 @@ from palpate.core import (
 from palpate.core.provenance import Provenance
 from palpate.core.sensor import dark_field_of
 from palpate.rig.real.scale import NEWTONS
-from palpate.sensing.collection import Weighing
+from palpate.sensing.collection import PressCollector, Weighing
 from palpate.sensing.collection.press_coverage import Box
 from palpate.sensing.live_sources import NoFrameYetError, open_live_source
 
@@ -58,6 +59,18 @@ class PressFeed(Protocol):
 
     def close(self) -> None:
         """Let go of the devices."""
+
+
+def collector_of(
+    feed: PressFeed, run: Path, asked: int, sensor: str = "", session: str = ""
+) -> PressCollector:  # fmt: skip
+    """Return a collector of presses on a feed; a run that is there goes on."""
+    return PressCollector(
+        run, sensor or feed.sensor, feed.weighing, asked=asked, session=session, region=feed.region,
+        force_range_n=feed.force_range_n and (0.0, feed.force_range_n[1]), frame_late_s=feed.frame_late_s,
+        truth=feed.truth, truths=feed.truths, origin=feed.origin, provenance=feed.provenance,
+        regions=feed.regions, dark_field=getattr(feed, "dark_field", None), clock=feed.clock,
+    )  # fmt: skip
 
 
 class VirtualFeed(Closing):

@@ -18,7 +18,7 @@ import numpy as np
 from palpate.core import InputError, Progress, lock, new_file, silent, storage_errors
 from palpate.sensing.collection.press_collector import PressCollector
 from palpate.workflows.certification import honest_sentence, left_out_text
-from palpate.workflows.press_feeds import PressFeed, open_feed
+from palpate.workflows.press_feeds import PressFeed, collector_of, open_feed
 from palpate.workflows.stored_session import (
     CALIBRATION,
     MANIFEST,
@@ -234,22 +234,7 @@ class StartSession(StoredSession):
     def collector(self, feed: PressFeed) -> PressCollector:
         """The collector of this session's presses on a feed; a run that is there goes on."""
         self.folder.mkdir(parents=True, exist_ok=True)
-        return PressCollector(
-            self.run,
-            self.state.sensor or feed.sensor,
-            feed.weighing,
-            asked=self.state.asked,
-            region=feed.region,
-            force_range_n=feed.force_range_n and (0.0, feed.force_range_n[1]),
-            frame_late_s=feed.frame_late_s,
-            truth=feed.truth,
-            truths=feed.truths,
-            origin=feed.origin,
-            provenance=feed.provenance,
-            regions=feed.regions,
-            dark_field=getattr(feed, "dark_field", None),
-            clock=feed.clock,
-        )
+        return collector_of(feed, self.run, self.state.asked, self.state.sensor)
 
     def collect(
         self,

@@ -60,19 +60,12 @@ def collect(
     Example: palpate collect --camera 0 --scale /dev/ttyUSB0 --out presses
     Example: palpate collect --camera virtual:palm --scale virtual --out presses
     """
-    from palpate.sensing.collection import PressCollector
-    from palpate.workflows.press_feeds import open_feed
+    from palpate.workflows.press_feeds import collector_of, open_feed
 
     with stopped_by_signals(), progress_bar() as progress:
         feed = open_feed(camera, scale, seed=seed, real_time=real_time, unit=_unit(unit), lag_s=scale_lag_s)
         try:
-            with PressCollector(
-                out, sensor or feed.sensor, feed.weighing, asked=presses, session=session, region=feed.region,
-                force_range_n=feed.force_range_n and (0.0, feed.force_range_n[1]),
-                frame_late_s=feed.frame_late_s, truth=feed.truth, truths=feed.truths, origin=feed.origin,
-                provenance=feed.provenance,
-                regions=feed.regions, dark_field=getattr(feed, "dark_field", None), clock=feed.clock,
-            ) as collector:  # fmt: skip
+            with collector_of(feed, out, presses, sensor, session) as collector:
                 if (have := len(collector.presses)) >= presses:
                     say(
                         f"{out} holds {have} presses, and --presses {presses} is how many there shall be in "

@@ -18,10 +18,8 @@ from palpate.core import Float, InputError, Int, ndarray
 from palpate.psychophysics.analysis.condition_models import (
     ConditionCounts,
     LogOddsDifference,
-    MixedLogistic,
     ShareDifference,
     counts_of,
-    fit_mixed_logistic,
     marginal_log_odds,
     share_differences,
 )
@@ -117,14 +115,11 @@ class SettingThreshold:
 
 @dataclass(frozen=True)
 class TaskComparison:
-    """Comparison of the settings of one task; `mixed` for pairs only, since positions in a ranking are
-    dependent.
-    """
+    """Comparison of the settings of one task."""
 
     task: Task
     shares: tuple[ShareDifference, ...]
     marginal: tuple[LogOddsDifference, ...]
-    mixed: MixedLogistic | None
 
 
 @dataclass(frozen=True)
@@ -338,12 +333,11 @@ def _own_pses(
 def _compared(task: Task, counted: Mapping[tuple[Task, str], Answers]) -> TaskComparison:
     settings = {setting: answers for (of, setting), answers in counted.items() if of is task}
     if len(settings) < 2:
-        return TaskComparison(task, (), (), None)
+        return TaskComparison(task, (), ())
     people = sorted({person for answers in settings.values() for person in answers})
     rows = {(p, s): answers[p] for p in people for s, answers in settings.items() if p in answers}
     counts = _in_order(counts_of(rows), tuple(settings))
-    mixed = fit_mixed_logistic(counts) if task is Task.PAIR else None
-    return TaskComparison(task, share_differences(counts), marginal_log_odds(counts), mixed)
+    return TaskComparison(task, share_differences(counts), marginal_log_odds(counts))
 
 
 def _in_order(counts: ConditionCounts, names: tuple[str, ...]) -> ConditionCounts:

@@ -24,6 +24,9 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import ConfigDict, Field, NonNegativeInt, TypeAdapter, ValidationError
 
 from palpate.core import (
     Closing,
@@ -57,7 +60,6 @@ ACTIVITIES = (
 MARKS = {"LL": (2, 0), "L": (1, 0), "B": (1, 1), "R": (0, 1), "RR": (0, 2), "": (0, 0)}
 """Marks of the left and of the right hand by what is typed; nothing where there is no experience."""
 
-CONSENT = ("yes", "no", "simulated")
 BAND = re.compile(r"(\d{1,3})(?:-(\d{1,3})|\+)\Z")
 MAX_AGE = 120
 LETTERS = "ABCDEFGHJKLMNPRTUVWXYZ"  # no I and O, which look like digits; no Q and S, which are keys
@@ -123,15 +125,17 @@ class ParticipantRecord:
         design: digest of each file of the design.
     """
 
+    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid", strict=True)
+
     participant: str
-    consent: str
-    number: int = 0
+    consent: Literal["yes", "no", "simulated"]
+    number: NonNegativeInt = 0
     group: str = ""
-    laterality_quotient: float | None = None
+    laterality_quotient: Annotated[float, Field(ge=-100, le=100, allow_inf_nan=False)] | None = None
     age: str = ""
     simulated: bool = False
-    seed: int = 0
-    design: Mapping[str, str] | None = None
+    seed: NonNegativeInt = 0
+    design: dict[str, str] | None = None
     schedule: str = ""
     version: str = ""
 
@@ -152,34 +156,14 @@ class ParticipantRecord:
                 )
             data = path.read_bytes()
         try:
-            record = cls(**json.loads(data))
-            checked_code(str(record.participant), "participant")
-        except (ValueError, TypeError) as e:
-            raise LabelError(f"{path} is damaged: {e}; put it back as it was written") from e
-        wrong = [name for name, right in record._fields_right().items() if not right]
-        if wrong:
-            said = ", ".join(f"{name} {getattr(record, name)!r}" for name in wrong)
+            record = TypeAdapter(cls).validate_json(data)
+            checked_code(record.participant, "participant")
+        except ValidationError as e:
+            said = ", ".join(f"{'.'.join(map(str, one['loc']))} {one['input']!r:.40}" for one in e.errors())
             raise LabelError(
                 f"{path} is damaged: {said}; put it back as it was written", code="record-damaged"
-            )
+            ) from e
         return record
-
-    def _fields_right(self) -> dict[str, bool]:
-        """Whether each field is what `write` may have written; JSON tells no types."""
-        words = ("participant", "group", "age", "schedule", "version")
-        quotient = self.laterality_quotient
-        digests = self.design.items() if isinstance(self.design, dict) else ()
-        return {
-            **{name: isinstance(getattr(self, name), str) for name in words},
-            "consent": self.consent in CONSENT,
-            "number": type(self.number) is int and self.number >= 0,
-            "laterality_quotient": quotient is None
-            or (type(quotient) in (int, float) and -100 <= quotient <= 100),
-            "simulated": isinstance(self.simulated, bool),
-            "seed": type(self.seed) is int and self.seed >= 0,
-            "design": isinstance(self.design, dict | None)
-            and all(isinstance(text, str) for pair in digests for text in pair),
-        }
 
 
 Place = tuple[Presentation, Condition, str]

@@ -129,7 +129,7 @@ def enrol(design: ExperimentDesign, participant: str, told: Enrolment) -> Partic
         schedule = make_schedule(design, number, told.simulated)
         record = ParticipantRecord(
             participant, "simulated" if told.simulated else "yes", number, schedule.group.name, quotient,
-            told.age, told.simulated, design.file.seed, design.digests, schedule.digest, __version__,
+            told.age, told.simulated, design.file.seed, dict(design.digests), schedule.digest, __version__,
         )  # fmt: skip
         with new_folder(folder) as part:
             record.write(part)
@@ -189,13 +189,18 @@ class Sitting(Closing):
         self._log = ResponseLog(folder, self.record.simulated)
         try:
             check_owner(folder, self.record, self._log.judgements)
-            self.next: PlannedTrial | None = self.schedule.next(self._log.judgements)
+            self._course = self.schedule.follow(self._log.judgements)
             self.torn = self._log.torn
             if self.torn:
                 self.note("cut", f"{self.torn} bytes of a row that was not finished; it is asked again")
         except BaseException:
             self._log.close()
             raise
+
+    @property
+    def next(self) -> PlannedTrial | None:
+        """The trial that is asked next."""
+        return self._course.next
 
     @property
     def key(self) -> Path:
@@ -219,7 +224,7 @@ class Sitting(Closing):
             one.presented, answer, seconds, self._now(),
         )  # fmt: skip
         self._log.append(judgement)
-        self.next = self.schedule.next(self._log.judgements)
+        self._course.take(judgement)
         return judgement
 
     def note(self, event: str, why: str = "") -> None:

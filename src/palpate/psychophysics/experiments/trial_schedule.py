@@ -17,9 +17,10 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Hashable, Iterator, Sequence
-from dataclasses import dataclass
-from functools import lru_cache
+from collections.abc import Generator, Hashable, Iterable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from itertools import chain, count
 from typing import TypeVar
 
 from palpate.core import InputError, LabelError
@@ -111,6 +112,10 @@ class PlannedTrial:
         )  # fmt: skip
 
 
+Trials = Generator[tuple[str, ...], str, None]
+"""Yields the stimuli presented, and is sent the answer to them."""
+
+
 @dataclass(frozen=True, slots=True)
 class BlockPlace:
     """Place of a block in a participant's schedule; blocks of a task count from 1 in each condition."""
@@ -135,12 +140,25 @@ class FixedBlock(BlockPlace):
     def max_trials(self) -> int:
         return len(self.trials)
 
-    def next(self, answers: Sequence[str]) -> tuple[str, ...] | None:
-        return self.trials[len(answers)] if len(answers) < len(self.trials) else None
+    def ask(self) -> Trials:
+        for presented in self.trials:  # noqa: UP028 - a tuple takes no answers
+            yield presented
 
 
 @dataclass(frozen=True, slots=True)
-class StaircaseBlock(BlockPlace):
+class PairBlock(BlockPlace):
+    """A block of pairs that follow from the answers."""
+
+    standard: str
+    standard_first: tuple[bool, ...]
+
+    @property
+    def max_trials(self) -> int:
+        return len(self.standard_first)
+
+
+@dataclass(frozen=True, slots=True)
+class StaircaseBlock(PairBlock):
     """Interleaved staircases.
 
     Attributes:
@@ -148,77 +166,54 @@ class StaircaseBlock(BlockPlace):
         turns: order of tracks in each round.
     """
 
-    standard: str
     sides: tuple[tuple[str, ...], ...]
     softer: tuple[bool, ...]
     rule: StaircaseRule
     turns: tuple[tuple[int, ...], ...]
-    standard_first: tuple[bool, ...]
 
-    @property
-    def max_trials(self) -> int:
-        return len(self.standard_first)
+    def ask(self, states: list[StaircaseState] | None = None) -> Trials:
+        """Ask, and keep how each track stands in `states`."""
+        states = self._begun() if states is None else states
+        firsts = iter(self.standard_first)
+        for track in chain.from_iterable(self.turns):
+            if not states[track].ended:
+                side = self.sides[track]
+                comparison = side[states[track].place]
+                answer = yield _pair(self.standard, comparison, next(firsts))
+                right = (answer == comparison) == self.softer[track]
+                states[track] = step_staircase(self.rule, len(side), states[track], right)
 
-    def next(self, answers: Sequence[str]) -> tuple[str, ...] | None:
-        _, following = self._follow(answers)
-        return following
-
-    def tracks(self, answers: Sequence[str]) -> tuple[StaircaseState, ...]:
+    def tracks(self, answers: Iterable[str]) -> tuple[StaircaseState, ...]:
         """How each track stands after some answers."""
-        states, _ = self._follow(answers)
-        return states
+        states = self._begun()
+        trials = self.ask(states)
+        next(trials)
+        with suppress(StopIteration):  # at the end
+            for one in answers:
+                trials.send(one)
+        return tuple(states)
 
-    def _follow(self, answers: Sequence[str]) -> tuple[tuple[StaircaseState, ...], tuple[str, ...] | None]:
-        states = [begin_staircase(len(side)) for side in self.sides]
-        done = 0
-        for turn in self.turns:
-            for track in turn:
-                if states[track].ended:
-                    continue
-                comparison = self.sides[track][states[track].place]
-                if done == len(answers):
-                    return tuple(states), _pair(self.standard, comparison, self.standard_first[done])
-                right = (answers[done] == comparison) == self.softer[track]
-                states[track] = step_staircase(self.rule, len(self.sides[track]), states[track], right)
-                done += 1
-        return tuple(states), None
+    def _begun(self) -> list[StaircaseState]:
+        return [begin_staircase(len(side)) for side in self.sides]
 
 
 @dataclass(frozen=True, slots=True)
-class BayesianBlock(BlockPlace):
+class BayesianBlock(PairBlock):
     """A block whose comparisons are placed by what the answers so far leave open."""
 
-    standard: str
     comparisons: tuple[str, ...]
     x: tuple[float, ...]
-    standard_first: tuple[bool, ...]
 
-    @property
-    def max_trials(self) -> int:
-        return len(self.standard_first)
-
-    def next(self, answers: Sequence[str]) -> tuple[str, ...] | None:
-        if len(answers) >= len(self.standard_first):
-            return None
-        _, chosen = _placed(self.x, self.comparisons, tuple(answers))
-        comparison = self.comparisons[chosen]
-        return _pair(self.standard, comparison, self.standard_first[len(answers)])
-
-
-@lru_cache(maxsize=2048)  # each answer then costs one step, though the whole block is gone through
-def _placed(
-    x: tuple[float, ...], comparisons: tuple[str, ...], answers: tuple[str, ...]
-) -> tuple[Placement, int]:
-    if answers:
-        before, chosen = _placed(x, comparisons, answers[:-1])
-        placement = before.after(chosen, answers[-1] == comparisons[chosen])
-    else:
-        placement = Placement.of_differences(x)
-    return placement, placement.next
+    def ask(self) -> Trials:
+        placement = Placement.of_differences(self.x)
+        for first in self.standard_first:
+            chosen = placement.next
+            answer = yield _pair(self.standard, self.comparisons[chosen], first)
+            placement = placement.after(chosen, answer == self.comparisons[chosen])
 
 
 PlannedBlock = FixedBlock | StaircaseBlock | BayesianBlock
-"""Each has `max_trials` and `next`, the stimuli presented after some answers; None at the end."""
+"""Each has `max_trials` and `ask`."""
 
 
 def _pair(standard: str, comparison: str, standard_first: bool) -> tuple[str, str]:
@@ -242,7 +237,7 @@ class Schedule:
     def text(self) -> str:
         """The schedule as JSON, a line a block: what is known before the first answer."""
         head = json.dumps({"number": self.number, "group": self.group.name})
-        return "\n".join([head, *(json.dumps(_block_row(block)) for block in self.blocks)]) + "\n"
+        return "\n".join([head, *(json.dumps(asdict(block)) for block in self.blocks)]) + "\n"
 
     @property
     def max_trials(self) -> int:
@@ -254,44 +249,56 @@ class Schedule:
         """Whether there will be so many, since no staircase may end by its reversals."""
         return not any(isinstance(block, StaircaseBlock) for block in self.blocks)
 
-    def next(self, judgements: Sequence[Judgement]) -> PlannedTrial | None:
-        """Return the trial after the given judgments, None at the end; reject judgments not
-        on the schedule.
-        """
-        i = 0
+    def ask(self) -> Generator[PlannedTrial, Judgement, None]:
+        """Yield each trial, and be sent the judgement of it."""
         for block in self.blocks:
-            answers: list[str] = []
-            while (presented := block.next(answers)) is not None:
-                planned = PlannedTrial(*block.place, len(answers) + 1, presented)
-                if i == len(judgements):
-                    return planned
-                if not planned.fits(judgements[i]):
-                    raise LabelError(
-                        f"judgement {i + 1} of {judgements[i].participant} is not the one that the schedule "
-                        f"asks for there, block {planned.block}, trial {planned.trial} of "
-                        f"{planned.presentation.value} {planned.condition.value} {planned.task.value}: a row "
-                        "is missing, stands twice or was changed; put the table back as it was written",
-                        code="schedule",
-                    )
-                answers.append(" ".join(judgements[i].answer))
-                i += 1
-        if i < len(judgements):
-            raise LabelError(f"{len(judgements)} judgements, and the schedule asks for {i}; leave none twice")
-        return None
+            trials = block.ask()
+            with suppress(StopIteration):
+                presented = next(trials)
+                for number in count(1):
+                    judgement = yield PlannedTrial(*block.place, number, presented)
+                    presented = trials.send(" ".join(judgement.answer))
+
+    def follow(self, judgements: Iterable[Judgement]) -> Course:
+        """Return where judgements have led; reject those not on the schedule."""
+        course = Course(self)
+        for one in judgements:
+            course.take(one)
+        return course
+
+    def next(self, judgements: Iterable[Judgement]) -> PlannedTrial | None:
+        """Return the trial after the given judgments, None at the end."""
+        return self.follow(judgements).next
 
 
-def _block_row(block: PlannedBlock) -> dict[str, object]:
-    row: dict[str, object] = {
-        "presentation": block.presentation.value, "condition": block.condition.value,
-        "task": block.task.value, "block": block.block,
-    }  # fmt: skip
-    if isinstance(block, FixedBlock):
-        return row | {"trials": block.trials}
-    row |= {"standard": block.standard, "standard_first": block.standard_first}
-    if isinstance(block, BayesianBlock):
-        return row | {"comparisons": block.comparisons, "x": block.x}
-    rule = {name: getattr(block.rule, name) for name in block.rule.__slots__}
-    return row | {"sides": block.sides, "softer": block.softer, "rule": rule, "turns": block.turns}
+class Course:
+    """A participant's way through a schedule; `next` is the next trial, None at the end."""
+
+    def __init__(self, schedule: Schedule) -> None:
+        self._trials, self._done = schedule.ask(), 0
+        self.next: PlannedTrial | None = next(self._trials, None)
+
+    def take(self, judgement: Judgement) -> None:
+        """Go on by a judgement; reject one that is not of the next trial."""
+        planned = self.next
+        if planned is None:
+            raise LabelError(
+                f"{self._done + 1} judgements, and the schedule asks for {self._done}; leave none twice",
+                code="schedule",
+            )
+        if not planned.fits(judgement):
+            raise LabelError(
+                f"judgement {self._done + 1} of {judgement.participant} is not the one that the schedule "
+                f"asks for there, block {planned.block}, trial {planned.trial} of "
+                f"{planned.presentation.value} {planned.condition.value} {planned.task.value}: a row "
+                "is missing, stands twice or was changed; put the table back as it was written",
+                code="schedule",
+            )
+        self._done += 1
+        try:
+            self.next = self._trials.send(judgement)
+        except StopIteration:
+            self.next = None
 
 
 def make_schedule(design: ExperimentDesign, number: int, simulated: bool = False) -> Schedule:
@@ -330,9 +337,8 @@ def _blocks(
                 yield FixedBlock(*where, begin + k, (tuple(drawn_order(stimuli.names, *place, "rank", k)),))
         case BayesianPart():
             x = tuple(design.softness(one) - design.softness(stimuli.standard) for one in comparisons)
-            yield BayesianBlock(
-                *where, begin, stimuli.standard, comparisons, x, _firsts(part.trials, place)
-            )  # fmt: skip
+            firsts = _firsts(part.trials, place)
+            yield BayesianBlock(*where, begin, stimuli.standard, firsts, comparisons, x)
         case StaircasePart():
             yield _staircases(design, stimuli, part, begin, place)
 
@@ -377,9 +383,9 @@ def _staircases(
     )  # fmt: skip
     turns = tuple(tuple(drawn_order(range(len(sides)), *place, "turn", k)) for k in range(part.max_trials))
     return StaircaseBlock(
-        stimuli.presentation, stimuli.condition, Task.PAIR, begin, stimuli.standard, tuple(sides),
+        stimuli.presentation, stimuli.condition, Task.PAIR, begin, stimuli.standard,
+        _firsts(part.max_trials * len(sides), place), tuple(sides),
         tuple(side == "softer" for side in part.sides), rule, turns,
-        _firsts(part.max_trials * len(sides), place),
     )  # fmt: skip
 
 

@@ -48,9 +48,9 @@ from palpate.softness.display_parts import (
     ConeDisplay,
     DisplaySensors,
     FingerMechanics,
+    MeantMotion,
     ProportionalValve,
 )
-from palpate.softness.pressing_finger import MeantMotion
 from palpate.softness.virtual import bench_kernel as k
 
 STEP_S = 50e-6
