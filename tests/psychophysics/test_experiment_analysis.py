@@ -56,6 +56,8 @@ def test_accuracy_is_counted_and_conditions_that_differ_are_found(found) -> None
         assert (first.first, first.second) == ("direct I", "direct K")
         assert first.value < 0
         assert first.holm_p < 0.05
+    assert found.comparisons[0].mixed is not None
+    assert found.comparisons[1].mixed is None
 
 
 def test_thresholds_come_back_in_the_level_s_unit_and_the_spread_is_the_noise(found) -> None:

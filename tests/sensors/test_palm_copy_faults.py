@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from palpate.core import Pose
 from palpate.estimators.unit_fit import KnownRow, Widening, standardised, widening_of
 from palpate.optics.image_chain import AutoExposure
-from palpate.sensors.palm.copies.copy_estimate import log_force, picture_slopes
+from palpate.sensors.palm.copies.copy_estimate import log_force, picture_slopes, told_by, unsure_constants
 from palpate.sensors.palm.copies.palm_copy import AT, LOCAL, TERMS, PalmCopy, designed_copy
 from palpate.sensors.palm.copies.press_picture import (
     backdrop_of,
@@ -180,3 +180,26 @@ def test_intervals_are_widened_where_held_out_presses_miss_and_stay_where_they_d
     assert 1.0 <= found[1.0] < 1.2
     assert found[10.0] > 2.0
     assert widening_of({"place": [9.0], "depth": [], "force": [9.0]}, 1) == Widening()
+
+
+def test_constants_that_are_known_well_enough_are_not_named() -> None:
+    known = designed_copy(DESIGN, modulus_share=0.05, coefficient_share=0.005)
+    assert unsure_constants(replace(known, covariance=0.1 * known.covariance)) == ()
+
+
+@pytest.mark.slow
+def test_a_modulus_that_thickness_hides_is_named_with_the_press_that_would_tell_it() -> None:
+    known = designed_copy(DESIGN, modulus_share=0.05, coefficient_share=0.005)
+    hidden = known.covariance.copy()
+    k = AT["thickness"]
+    hidden[k, k] = 0.02**2
+    hidden[0, k] = hidden[k, 0] = 0.9 * 0.05 * 0.02
+    copy = replace(known, covariance=hidden)
+    (unsure,) = unsure_constants(copy)
+    assert (unsure.constant, unsure.fault) == ("modulus", "thickness")
+    assert unsure.half_share == pytest.approx(1.645 * 0.05)
+    assert unsure.owed == pytest.approx(0.81)
+    assert unsure.then_share < 0.8 * unsure.half_share
+    pose = Pose(unsure.x_m, unsure.y_m, unsure.depth_m)
+    after = told_by(copy, local_of(pose))
+    assert unsure.then_share == pytest.approx(1.645 * math.sqrt(after[0, 0]))

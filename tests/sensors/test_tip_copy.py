@@ -118,13 +118,15 @@ def test_slopes_are_those_of_the_rows(presses) -> None:
 
 
 def test_a_press_without_a_force_leaves_the_stiffness_untold(presses) -> None:
-    alone = fit_tip_copy(DESIGN, [replace(presses[2], force_n=None, position_m=None)])
+    alone = fit_tip_copy(DESIGN, [replace(presses[2], force_n=None, position_m=None)], advise=False)
     assert "stiffness" in alone.untold
 
 
 @pytest.mark.slow
-def test_without_a_stage_s_position_the_scale_is_told_less_well(presses, fitted) -> None:
+def test_a_stage_s_position_is_what_would_help_without_one(presses, fitted) -> None:
     blind = fit_tip_copy(DESIGN, [replace(one, position_m=None) for one in presses])
+    assert "stage-position" in [one.press for one in blind.helpful]
+    assert all(one.ratio < 0.9 and one.term in COPY_TERMS for one in blind.helpful)
     assert (
         fitted.copy.told["edge_rad"]["standard_deviation"]
         < 0.9 * (blind.copy.told["edge_rad"]["standard_deviation"])

@@ -177,6 +177,13 @@ def posterior(model: UnitModel, state: State) -> Posterior:
     return Posterior(state, H, meat, _covariance(H, meat), known)
 
 
+def covariance_with(terms: Covariance, press: Float[ndarray, "k k"]) -> Covariance:
+    """Return the terms' covariance after one more press with this Hessian over terms and nuisances."""
+    n, H = len(terms), press.copy()
+    H[:n, :n] += np.linalg.inv(terms)
+    return np.asarray(np.linalg.inv(H)[:n, :n])
+
+
 def _misfit(z: Float[ndarray, " r"], kink: float) -> float:
     if math.isinf(kink):
         return float(z @ z)

@@ -34,6 +34,7 @@ def fit(
     Example: palpate calibrate --method palm-unit runs/weights --preset demo --out mine.json
     """
     from palpate.core import refuse_existing
+    from palpate.sensors.palm.copies.copy_estimate import unsure_constants
     from palpate.sensors.palm.copies.palm_copy_fit import (
         MAX_REACH,
         design_for,
@@ -50,8 +51,10 @@ def fit(
         pictured = pictured_presses(run, presses, force_share, within_m, ball)
         known = design_for(preset, pictured[0].image.shape[:2], friction)
         found = fit_copy(known, pictured, tell)
+        unsure = unsure_constants(found.copy, tell)
     write_copy(found.copy, preset, out)
-    print_record(_copy_answer(found) | {"copy": str(out)})
+    answer = _copy_answer(found) | {"unsure": [one._asdict() for one in unsure], "copy": str(out)}
+    print_record(answer)
 
 
 def known(

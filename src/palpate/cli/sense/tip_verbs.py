@@ -193,6 +193,10 @@ def _copy_answer(found: TipCopyFit) -> dict[str, Any]:
         "zeros": [
             {"approach": z.approach, "zero_mm": z.zero_mm, "half_mm": COVERED * z.sd_mm} for z in found.zeros
         ],
+        "helpful": [
+            {"press": one.press, "force_N": one.force_n, "term": one.term, "spread_ratio": one.ratio}
+            for one in found.helpful
+        ],
         "presses": len(found.presses), "off_px": max(one.off_px for one in found.presses),
         "forces_off_deviations": found.forces_off,
     }  # fmt: skip

@@ -2,7 +2,9 @@
 
 from palpate.psychophysics.analysis.condition_models import (
     ConditionCounts,
+    fit_mixed_logistic,
     marginal_log_odds,
+    mixed_log_likelihood,
     share_differences,
     sign_flip_p,
 )
@@ -42,7 +44,7 @@ __all__ = [
     "ConditionCounts", "ExperimentAnalysis", "PlannedStudy", "PsychometricFit", "PsychometricFunction",
     "RankConfusion", "SettingAccuracy", "SettingThreshold", "SigmoidShape", "TaskComparison",
     "analyse_experiment", "clopper_pearson_interval", "cluster_interval", "confusion_of_places",
-    "fit_psychometric", "marginal_log_odds",
+    "fit_mixed_logistic", "fit_psychometric", "marginal_log_odds", "mixed_log_likelihood",
     "newcombe_interval", "participants_needed", "rank_confusion", "rank_correlation", "share_differences",
     "sign_flip_p", "simulated_power", "wald_full_width", "wald_half_width", "wald_interval",
     "wilson_interval",

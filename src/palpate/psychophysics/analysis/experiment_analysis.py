@@ -18,8 +18,10 @@ from palpate.core import Float, InputError, Int, ndarray
 from palpate.psychophysics.analysis.condition_models import (
     ConditionCounts,
     LogOddsDifference,
+    MixedLogistic,
     ShareDifference,
     counts_of,
+    fit_mixed_logistic,
     marginal_log_odds,
     share_differences,
 )
@@ -115,11 +117,14 @@ class SettingThreshold:
 
 @dataclass(frozen=True)
 class TaskComparison:
-    """Comparison of the settings of one task."""
+    """Comparison of the settings of one task; `mixed` for pairs only, since positions in a ranking are
+    dependent.
+    """
 
     task: Task
     shares: tuple[ShareDifference, ...]
     marginal: tuple[LogOddsDifference, ...]
+    mixed: MixedLogistic | None
 
 
 @dataclass(frozen=True)
@@ -333,11 +338,12 @@ def _own_pses(
 def _compared(task: Task, counted: Mapping[tuple[Task, str], Answers]) -> TaskComparison:
     settings = {setting: answers for (of, setting), answers in counted.items() if of is task}
     if len(settings) < 2:
-        return TaskComparison(task, (), ())
+        return TaskComparison(task, (), (), None)
     people = sorted({person for answers in settings.values() for person in answers})
     rows = {(p, s): answers[p] for p in people for s, answers in settings.items() if p in answers}
     counts = _in_order(counts_of(rows), tuple(settings))
-    return TaskComparison(task, share_differences(counts), marginal_log_odds(counts))
+    mixed = fit_mixed_logistic(counts) if task is Task.PAIR else None
+    return TaskComparison(task, share_differences(counts), marginal_log_odds(counts), mixed)
 
 
 def _in_order(counts: ConditionCounts, names: tuple[str, ...]) -> ConditionCounts:

@@ -1,5 +1,6 @@
 """Palm units: constants fitted to a few presses of known force, presses read, and weight checks."""
 
+from palpate.sensors.palm.copies.copy_estimate import UnsureConstant, unsure_constants
 from palpate.sensors.palm.copies.palm_copy import (
     CopyFit,
     PalmCopy,
@@ -15,10 +16,12 @@ __all__ = [
     "PalmCopy",
     "PicturedPress",
     "PressFound",
+    "UnsureConstant",
     "WeightCheck",
     "check_weight",
     "designed_copy",
     "fit_copy",
     "measured_copy",
     "read_press",
+    "unsure_constants",
 ]

@@ -27,13 +27,16 @@ SAME_PX = 0.5  # maximum rms difference of untouched pins from the unit's
 MAX_TURN_RAD = math.radians(3.5)  # maximum tilt of a plate
 
 
-def fit_tip_copy(known: TipCopy, presses: Sequence[PlatePress], progress: Progress = silent) -> TipCopyFit:
+def fit_tip_copy(
+    known: TipCopy, presses: Sequence[PlatePress], progress: Progress = silent, *, advise: bool = True
+) -> TipCopyFit:
     """Estimate a unit's terms, and depth, alignment, and force of each press.
 
     Args:
         known: Prior of the unit.
         presses: With or without forces; one is a reading, five to ten of known force calibrate.
         progress: Callback for the rounds.
+        advise: Whether to rank further presses.
     """
     if not presses:
         raise InputError("no press; a copy is found from one at least", code="no-presses")
@@ -45,13 +48,13 @@ def fit_tip_copy(known: TipCopy, presses: Sequence[PlatePress], progress: Progre
     _refuse_unlike(known, found)
     if known.rest_px is None:
         found = replace(found, copy=_with_layout(found, presses))
-    return found
+    return replace(found, helpful=estimate.helpful()) if advise else found
 
 
 def read_plate_press(known: TipCopy, press: PlatePress, progress: Progress = silent) -> PlateReading:
     """Read depth and force of one press, with intervals that include the unit's uncertainty."""
     unknown = replace(press, force_n=None, position_m=None)
-    return fit_tip_copy(known, [unknown], progress).presses[0]
+    return fit_tip_copy(known, [unknown], progress, advise=False).presses[0]
 
 
 def _refuse_one_load(forces_n: Sequence[float]) -> None:
@@ -225,6 +228,6 @@ def _ratio_change(
     """Change of the log ratio if stiffness and ratio are both free, and its standard deviation."""
     freed = replace(known, covariance=known.covariance + free)
     weighed = replace(press, force_n=force_n, force_sd_n=WEIGHT_SHARE * force_n)
-    now = fit_tip_copy(freed, [weighed], progress).copy
+    now = fit_tip_copy(freed, [weighed], progress, advise=False).copy
     change, spread = changed_since(now.terms - known.terms, free, known.covariance, now.covariance)
     return float(change[1]), math.sqrt(max(float(spread[1, 1]), 0.0))

@@ -19,6 +19,7 @@ from palpate.estimators.unit_fit import (
     KnownRow,
     Layout,
     State,
+    covariance_with,
     most_probable,
     posterior,
     untold_terms,
@@ -36,6 +37,7 @@ from palpate.sensors.tactip.tip_copies.plate_presses import PlatePress
 from palpate.sensors.tactip.tip_copies.tip_copy import (
     COPY_TERMS,
     STATED_MM,
+    TermCovariance,
     TermVector,
     TipCopy,
     design_force_n,
@@ -88,6 +90,21 @@ class StageZero:
     sd_mm: float
 
 
+@dataclass(frozen=True)
+class HelpfulPress:
+    """A further press, the term it would improve most, and the ratio of that term's standard deviations.
+
+    Attributes:
+        press: `deeper`, `shallower`, `inclined` by 2 degrees, or `stage-position` with each press.
+        force_n: Force of the press [N]; None for a position.
+    """
+
+    press: str
+    force_n: float | None
+    term: str
+    ratio: float
+
+
 @dataclass(frozen=True, eq=False)
 class TipCopyFit:
     """A unit after its presses.
@@ -96,6 +113,7 @@ class TipCopyFit:
         untold: Terms whose variance fell by less than a fifth.
         zeros: Zeros of stages, for approaches with positions.
         forces_off: Rms of known forces' residuals in standard deviations.
+        helpful: Further presses, the most informative first.
     """
 
     copy: TipCopy
@@ -103,6 +121,7 @@ class TipCopyFit:
     untold: tuple[str, ...]
     zeros: tuple[StageZero, ...]
     forces_off: float
+    helpful: tuple[HelpfulPress, ...] = ()
 
 
 @lru_cache(maxsize=64)
@@ -289,6 +308,7 @@ class TipEstimate:
         t, end = self._t, posterior(self, state)
         covariance = end.covariance
         covariance[[6, 7], [6, 7]] += AXIS_MM**2
+        self._state, self._normal = state, end.hessian
         copy = replace(self._known, terms=state[:t].copy(), covariance=covariance[:t, :t])
         sd = np.sqrt(np.diag(covariance))
         zeros = tuple(
@@ -319,6 +339,53 @@ class TipEstimate:
             float(np.sqrt(np.nanmean(np.sum(motion**2, axis=1)))),
             (float(own[3]), float(own[4])),
         )
+
+    def helpful(self) -> tuple[HelpfulPress, ...]:
+        """Further presses by the expected reduction of their best term's standard deviation."""
+        state = self._state
+        deepest = float(tip_between(float(state[1])).press.approach_m[-1]) * 1e3
+        depths = state[self._depths]
+        ways = {
+            "deeper": (0.97 * deepest, 0.0),
+            "shallower": (0.5 * float(depths.min()), 0.0),
+            "inclined": (float(np.median(depths)), math.radians(2)),
+        }
+        if deepest < 1.1 * depths.max():
+            del ways["deeper"]
+        told = [self._with_press(name, *way) for name, way in ways.items()]
+        if not self._approaches:
+            told.append(self._with_positions())
+        return tuple(sorted((one for one in told if one.ratio < 0.9), key=lambda one: one.ratio))
+
+    def _with_press(self, name: str, depth_mm: float, turn_rad: float) -> HelpfulPress:
+        first = self._presses[0]
+        force = math.exp(self.log_force(self._state[: self._t], depth_mm))
+        more = TipEstimate(
+            self._known, [replace(first, moved_px=first.rest_px, force_n=force, position_m=None)]
+        )
+        t, now = self._t, np.linalg.inv(self._normal)[: self._t, : self._t]
+        state = np.concatenate([self._state[:t], [depth_mm, turn_rad, 0.0, 0.0, 0.0]])
+        H = posterior(more, state).hessian
+        H[:t, :t] -= more.precision[:t, :t]  # the prior counts once
+        if turn_rad:
+            H[t + 1, t + 1] -= more.precision[t + 1, t + 1]  # an intended tilt is not random
+        return self._gain(name, force, covariance_with(now, H))
+
+    def _with_positions(self) -> HelpfulPress:
+        size = len(self._normal)
+        normal = np.pad(self._normal, (0, 1))
+        normal[size, size] = 1 / ZERO_MM**2
+        for depth in self._depths.tolist():
+            at = [depth, size]
+            normal[np.ix_(at, at)] += 1 / POSITION_MM**2
+        return self._gain("stage-position", None, np.linalg.inv(normal))
+
+    def _gain(self, name: str, force_n: float | None, covariance: TermCovariance) -> HelpfulPress:
+        t = self._t
+        now = np.sqrt(np.diag(np.linalg.inv(self._normal))[:t])
+        ratio = np.sqrt(np.diag(covariance)[:t]) / now
+        best = int(np.argmin(ratio))
+        return HelpfulPress(name, force_n, COPY_TERMS[best], float(ratio[best]))
 
 
 def _patches(cells: Int[ndarray, "p 2"]) -> Int[ndarray, " p"]:
