@@ -27,6 +27,7 @@ from .bricks import OUTSIDE, Bricks, gauss, serendipity
 from .cylinder import Cylinder
 from .frontal import Elements, eliminated
 from .meeting import penalty
+from .press import extrapolated
 from .revolved import InsideOutError
 from .surface_contact import Below, below, pressed
 from .tip import CORE, ConvergenceError, Tip
@@ -211,7 +212,9 @@ class InclinedPress:
 
     def _balance(self, past: list[Inclined], approach: float) -> Inclined:
         """Newton's method from the curve through the last states."""
-        u, top = (_onwards(past, [getattr(p, name) for p in past], approach) for name in ("u", "top"))
+        u, top = (
+            extrapolated([(p.approach, getattr(p, name)) for p in past], approach) for name in ("u", "top")
+        )
         out, answer = self._assemble(u, top, approach)
         balanced = RESIDUAL if self.top is None else RESIDUAL_ON_CYLINDER * (1 + approach)
         for iteration in range(ITERATIONS):
@@ -334,13 +337,6 @@ def _summed(
     if len(which):
         out, K = (np.add.reduceat(values[order], starts) for values in (out, K))
     return Elements(unknowns[which], K, group[which]), out
-
-
-def _onwards(past: list[Inclined], values: list[ndarray], approach: float) -> ndarray:
-    """The polynomial through the last states."""
-    z = np.array([p.approach for p in past])
-    share = [np.prod((approach - np.delete(z, i)) / (z[i] - np.delete(z, i))) for i in range(len(z))]
-    return sum((s * v for s, v in zip(share, values, strict=True)), np.zeros_like(values[0]))
 
 
 def _graded(
