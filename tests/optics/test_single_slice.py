@@ -1,9 +1,6 @@
 import numpy as np
-import pytest
-from jaxtyping import TypeCheckError
 from oracles.single_slice import best_path, single_slice, single_slice_error
 
-from palpate.core import InputError, RangeError
 from palpate.mechanics import secondary_stress
 from palpate.optics import (
     dark_field,
@@ -42,9 +39,9 @@ def test_the_skin_s_width_as_the_path_is_wrong_under_a_ball():
     1.7e-10 1/Pa, where the march is nearly dark. The path that fits best is 6.9 mm, an eighth.
     """
     baseline, marched, best = images(3e-9, path=57e-3)
-    error = single_slice_error(baseline, marched)
-    assert error.rms > 0.25
-    assert error.largest > 0.9
+    rms, largest = single_slice_error(baseline, marched)
+    assert rms > 0.25
+    assert largest > 0.9
     assert 57e-3 / images(3e-9)[2] > 5
     assert best == 57e-3
 
@@ -55,14 +52,3 @@ def test_the_formula_is_the_literature_s():
     by_hand = np.sin(2 * theta) ** 2 * np.sin(np.pi * d * difference * c / GREEN) ** 2
     np.testing.assert_allclose(single_slice(u, v, d, c, GREEN, 0.0), by_hand)
     np.testing.assert_allclose(fringe_order(d * u, d * v, c, GREEN), d * difference * c / GREEN)
-
-
-def test_numbers_that_make_no_image_are_refused():
-    zero = np.zeros(2)
-    for path, c, wavelength in ((0.0, 1e-9, GREEN), (1e-3, -1e-9, GREEN), (1e-3, 1e-9, np.nan)):
-        with pytest.raises(RangeError, match="positive"):
-            single_slice(zero, zero, path, c, wavelength, 0.0)
-    with pytest.raises(InputError, match="NaN"):
-        single_slice_error(zero, zero * np.nan)
-    with pytest.raises((InputError, TypeCheckError)):  # in tests the shapes are checked first
-        single_slice_error(zero, np.zeros(3))

@@ -5,9 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.refusals import refused
 
-from palpate.core import InputError, Pose
+from palpate.core import Pose
 from palpate.sensors import palm
 from palpate.sensors.palm import fringe_orders
 
@@ -36,19 +35,6 @@ def test_from_below_a_dark_cross_lies_along_the_polarisers():
     np.testing.assert_allclose(seen.light[:, 50], rim[:, None] * leak * np.ones(3), atol=1e-6)
     diagonal = seen.light[np.arange(101), np.arange(101), 1]
     assert diagonal.max() > 1.3 * leak * rim[50]
-
-
-def test_only_the_palms_own_ball_pressed_straight_is_compared():
-    punch = palm.press(SPEC, Pose(0.0, 0.0, 1e-3), palm.parse_probe("punch:6"))
-    pushed = palm.press(SPEC, Pose(0.0, 0.0, 1e-3), palm.parse_probe("sphere:10"), (0.2, 0.0))
-    for contact in (punch, pushed):
-        for law in (
-            first_prototype.from_below,
-            first_prototype.quality_below,
-            first_prototype.quality_edge_on,
-        ):
-            with refused("other-ball", InputError):
-                law(contact, SPEC)
 
 
 @pytest.mark.parametrize("force_n", [2.0])
