@@ -1,4 +1,10 @@
+import sys
+from pathlib import Path
+
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
+
 from oracles.single_slice import best_path, single_slice, single_slice_error
 
 from palpate.mechanics import secondary_stress
