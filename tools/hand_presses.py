@@ -36,7 +36,6 @@ LEARNT, HELD_OUT = 40, 20
 RIG_PLAN = "palm-reduced"
 FORCES_N = {"palm": (0.5, 11.0), "tactip": (0.3, 4.4), "nusense": (0.5, 9.6)}
 """Forces of the hands: within what the rig's plan reaches, so that neither is asked beyond what it learnt."""
-AHEAD_S = 0.5  # of a press, from when frames of the untouched sensor are taken
 
 
 def collect(name: str, seed: int, out: Path, label: str) -> float:

@@ -41,7 +41,7 @@ PRESSES = (  # degrees, MPa
     (0, np.inf), (0, 0.035), (30, np.inf), (30, 0.2419), (30, 0.035), (45, np.inf), (45, 0.2419),
 )  # fmt: skip
 COARSE_PRESS = 30, 0.2419  # which is pressed on coarser cells as well
-NAMES = ("approach_mm", "force_n", "area_mm2", "span_mm", "moved_mm")
+NAMES = ("approach_mm", "force_n", "area_mm2", "moved_mm")
 
 
 def name_of(tilt_deg: float, mpa: float) -> str:
@@ -55,10 +55,10 @@ def solve(path: Path, tilt_deg: float, mpa: float, cells: tuple[float, int, int]
     top = Cylinder(mpa, across=across, down=down) if np.isfinite(mpa) else None
     press = InclinedPress(TIPS[TIP], top, np.deg2rad(tilt_deg), fineness=Fineness(degrees))
 
-    def states() -> Iterator[tuple[float, ndarray, float, tuple[float, float], ndarray]]:
+    def states() -> Iterator[tuple[float, ndarray, float, ndarray]]:
         for one in press.states():
             force = press.force(one)
-            yield one.approach, force, press.area(one), press.span(one), inside(press, one)
+            yield one.approach, force, press.area(one), inside(press, one)
             if force[2] > MAX_N:
                 return
 

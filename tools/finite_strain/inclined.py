@@ -183,11 +183,6 @@ class InclinedPress:
         flat = -np.cross(along[:, :, 0], along[:, :, 1]) @ self.axes[2]
         return float(2.0 * (np.abs(flat) * w)[state.touched.pressure > PRESSING].sum())
 
-    def span(self, state: Inclined) -> tuple[float, float]:
-        """Where the contact begins and ends, up the top's slope from its middle [mm]."""
-        x = self._over(state.u, state.approach)[1][..., 0][state.touched.pressure > PRESSING]
-        return (float(x.min()), float(x.max())) if len(x) else (0.0, 0.0)
-
     def states(self) -> Iterator[Inclined]:
         """Balance at ever greater approaches, in steps as long as Newton's method likes."""
         past, step = [self.untouched()], FIRST_STEP

@@ -77,7 +77,6 @@ def touch(
         traction=p[..., None] * n,
         stiffness=np.where(held, normal, 0.0)[..., None, None] * nn - turning * (np.eye(2) - nn),
         pressure=p,
-        shear=np.zeros_like(p),
         angle=np.arctan2(n[..., 0], n[..., 1]),
         anchor=np.where(touching, 0.0, np.nan),
         touching=touching,
