@@ -20,6 +20,9 @@ import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
+
 ROOT = Path(__file__).resolve().parent.parent
 SOURCES = (ROOT / "src", ROOT / "reproductions" / "src")
 LONG_LINES, COMPLEX, SMALL_LINES, WORDS = 60, 15, 150, 3
@@ -96,31 +99,12 @@ def imports(files: dict[Path, ast.Module]) -> dict[str, set[str]]:
 
 
 def cycles(graph: dict[str, set[str]]) -> list[list[str]]:
-    """Groups of modules that import each other (Tarjan's strongly connected components)."""
-    index: dict[str, int] = {}
-    low: dict[str, int] = {}
-    stack: list[str] = []
-    found: list[list[str]] = []
-
-    def visit(name: str) -> None:
-        index[name] = low[name] = len(index)
-        stack.append(name)
-        for one in graph[name]:
-            if one not in index:
-                visit(one)
-            if one in stack:
-                low[name] = min(low[name], low[one])
-        if low[name] == index[name]:
-            group = [stack.pop()]
-            while group[-1] != name:
-                group.append(stack.pop())
-            if len(group) > 1:
-                found.append(sorted(group))
-
-    for name in graph:
-        if name not in index:
-            visit(name)
-    return found
+    """Groups of modules that import each other (strongly connected components)."""
+    names = list(graph)
+    matrix = csr_array([[two in graph[one] for two in names] for one in names])
+    count, group = connected_components(matrix, connection="strong")
+    groups = [sorted(name for name, at in zip(names, group, strict=True) if at == i) for i in range(count)]
+    return [one for one in groups if len(one) > 1]
 
 
 def is_text(node: ast.AST) -> bool:

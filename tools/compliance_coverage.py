@@ -1,12 +1,13 @@
 """How often intervals of compliance presses contain the truth: many presses, by their pins' centres.
 
-    python tools/compliance_coverage.py --keep solved               # all presets, 0, 30 and 45 degrees
+    python tools/compliance_coverage.py                             # all presets, 0, 30 and 45 degrees
     python tools/compliance_coverage.py --preset 331-fitted --tilt 0 --presses 900 --calibrations 20
 
 Every press has a specimen of its own (1.5 to 6.5 N/mm), its own seating, noise and nuisances, and is read
 under nothing, under each nuisance of its stated size and either sign, and under all of them drawn at once.
-Calibrations are many, of presses of their own. `--draws development` takes other seeds, for setting anything;
-the figures in docs/how-to/measure-softness.md are of the others, which set nothing.
+Calibrations are many, of presses of their own. An inclined specimen that no table holds takes ten seconds.
+`--draws development` takes other seeds, for setting anything; the figures in docs/how-to/measure-softness.md
+are of the others, which set nothing.
 """
 
 from __future__ import annotations
@@ -16,12 +17,10 @@ import math
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
-from pathlib import Path
 
 import numpy as np
+from centre_presses import CentrePress
 from scipy.stats import binom
-from tactip.centre_presses import CentrePress
-from tactip.inclined_family import InclinedFamily, InterpolatedTacTip
 
 from palpate.calibration.compliance.compliance_calibration import (
     ComplianceCalibration,
@@ -54,31 +53,19 @@ REPEATED, REPEATS = 5.3, 5  # N/mm of a specimen, and its presses a calibration,
 Asked = tuple[str, Mapping[str, float], Mapping[str, float]]  # condition, sizes, truths
 
 
-def sensor_of(preset: str, tilt_deg: int, folder: Path | None) -> InterpolatedTacTip:
-    """The sensor, which reads inclined specimens between solved ones."""
-    spec, tilt = PRESETS[preset], math.radians(tilt_deg)
-    return InterpolatedTacTip(spec, {tilt: InclinedFamily(spec, tilt, folder)} if tilt_deg else {})
-
-
 def words_of(kappa_n_m: float, tilt_deg: int) -> str:
     """What is pressed, as the TacTip has it."""
     face = "rigid" if math.isinf(kappa_n_m) else f"specimen={1e-3 * kappa_n_m:.15g}"
     return f"{face}@{tilt_deg}" if tilt_deg else face
 
 
-def calibration_of(sensor: InterpolatedTacTip, tilt_deg: int, seed: int) -> ComplianceCalibration:
+def calibration_of(spec: TacTipSpec, tilt_deg: int, seed: int) -> ComplianceCalibration:
     """A calibration on five presses of each reference."""
-    references = [
-        ReferenceSpecimen(
-            name,
-            kappa,
-            tuple(
-                CentrePress(record_press(sensor, words_of(kappa, tilt_deg), seed + 10 * i + k)).trial()
-                for k in range(TRIALS)
-            ),
-        )
-        for i, (name, kappa) in enumerate(REFERENCES.items())
-    ]
+    references = []
+    for i, (name, kappa) in enumerate(REFERENCES.items()):
+        words, first = words_of(kappa, tilt_deg), seed + 10 * i
+        trials = [CentrePress(record_press(spec, words, first + k)).trial() for k in range(TRIALS)]
+        references.append(ReferenceSpecimen(name, kappa, tuple(trials)))
     return calibrate_compliance(references, tilt_rad=math.radians(tilt_deg))
 
 
@@ -136,11 +123,6 @@ class Readings:
                 row = (one.value, one.low, one.high, truths[name], one.valid)
                 self.rows.setdefault((condition, name), []).append(row)
 
-    def save(self, path: Path) -> None:
-        """Write every reading, a table a condition and quantity."""
-        path.parent.mkdir(parents=True, exist_ok=True)
-        np.savez(path, **{"/".join(key): np.array(some) for key, some in self.rows.items()})
-
     def told(self) -> Iterator[str]:
         """Coverage of valid readings, errors, and the repeatability."""
         for (condition, name), some in self.rows.items():
@@ -165,34 +147,32 @@ class Readings:
 
 
 def read_presses(
-    sensor: InterpolatedTacTip, tilt_deg: int, counts: Mapping[str, int], calibrations: int, seed: int
-) -> Iterator[Readings]:
-    """Presses of every condition, as many as asked for, spread evenly over calibrations: all so far."""
+    spec: TacTipSpec, tilt_deg: int, counts: Mapping[str, int], calibrations: int, seed: int
+) -> Readings:
+    """Presses of every condition, as many as asked for, spread evenly over calibrations."""
     results = Readings()
     for c in range(calibrations):
         begun = seed + 100_000 * c
-        calibration = calibration_of(sensor, tilt_deg, begun)
-        results.repeated.append(_repeatability(sensor, tilt_deg, calibration, begun + 500))
+        calibration = calibration_of(spec, tilt_deg, begun)
+        results.repeated.append(_repeatability(spec, tilt_deg, calibration, begun + 500))
         for k in range(-(-max(counts.values()) // calibrations)):
             number = begun + 1000 + k
             rng = np.random.default_rng([number, 9])
             kappa = float(rng.uniform(*KAPPA_N_M))
-            pressed = CentrePress(record_press(sensor, words_of(kappa, tilt_deg), number))
+            pressed = CentrePress(record_press(spec, words_of(kappa, tilt_deg), number))
             truths = truths_of(pressed, kappa)
             for condition, count in counts.items():
                 sizes = sizes_of(condition, rng)
                 if k < -(-count // calibrations):
                     results.add(calibration, pressed, (condition, sizes, truths))
         print(f"  {c + 1} of {calibrations} calibrations", time.strftime("%H:%M:%S"), flush=True)
-        yield results
+    return results
 
 
-def _repeatability(
-    sensor: InterpolatedTacTip, tilt_deg: int, calibration: ComplianceCalibration, seed: int
-) -> float:
+def _repeatability(spec: TacTipSpec, tilt_deg: int, calibration: ComplianceCalibration, seed: int) -> float:
     """Relative variance of the area at 4 N over presses of one specimen."""
     words = words_of(1e3 * REPEATED, tilt_deg)
-    pressed = [CentrePress(record_press(sensor, words, seed + k)).press({}) for k in range(REPEATS)]
+    pressed = [CentrePress(record_press(spec, words, seed + k)).press({}) for k in range(REPEATS)]
     areas = [one.value for press in pressed if (one := read_touch(calibration, [press]).area) is not None]
     return float(np.var(areas, ddof=1) / np.mean(areas) ** 2)
 
@@ -209,18 +189,13 @@ def main() -> None:
     parser.add_argument("--calibrations", type=int, default=20)
     parser.add_argument("--draws", choices=list(SEEDS), default="test")
     parser.add_argument("--condition", choices=CONDITIONS, action="append")
-    parser.add_argument("--keep", type=Path, help="folder where solved inclined specimens are kept")
-    parser.add_argument("--out", type=Path, help="folder for every reading, an .npz a preset and tilt")
     asked = parser.parse_args()
     for preset in asked.preset or PRESETS:
         for tilt in asked.tilt or TILTS_DEG:
-            sensor = sensor_of(preset, tilt, asked.keep)
-            counts = {
-                one: asked.presses if one == "all" else asked.single for one in asked.condition or CONDITIONS
-            }
-            for results in read_presses(sensor, tilt, counts, asked.calibrations, SEEDS[asked.draws]):
-                if asked.out:
-                    results.save(asked.out / f"{preset}-{tilt}-{asked.draws}.npz")
+            wanted = asked.condition or CONDITIONS
+            counts = {one: asked.presses if one == "all" else asked.single for one in wanted}
+            seed = SEEDS[asked.draws]
+            results = read_presses(PRESETS[preset], tilt, counts, asked.calibrations, seed)
             print(f"\n{preset}, {tilt} degrees", *results.told(), sep="\n", flush=True)
 
 

@@ -12,7 +12,6 @@ until they stay. Lengths are in sphere radii, stresses in Young's moduli.
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from collections.abc import Iterator, Sequence
@@ -24,7 +23,7 @@ from numpy import ndarray
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from off_centre import NORMAL, SOLID, Cells, Field, HalfDisc, OffCentre, deformed
+from off_centre import NORMAL, Cells, Field, HalfDisc, OffCentre
 
 OUT = Path(__file__).parent / "dragged_sphere.json"
 TANGENT = 1000.0  # E/R
@@ -57,21 +56,12 @@ class Dragged(OffCentre):
         self._limit = np.zeros(shape)
 
     def away(self, u: ndarray, depth: float) -> ndarray:
-        """Places of the top's points from the sphere's centre."""
-        return self.top_places(u) - np.array([self.disc.offset + self.shift, 0.0, depth - 1.0])
+        return super().away(u, depth) - np.array([self.shift, 0.0, 0.0])
 
     def touch(self, u: ndarray, depth: float, stress: float = 1.0) -> tuple[ndarray, ndarray]:
-        """Traction on the top per unloaded area, and -d traction / d displacement."""
-        away = self.away(u, depth)
-        distance = np.linalg.norm(away, axis=-1)[..., None]
-        n = away / distance
-        p = NORMAL * np.maximum(1.0 - distance, 0.0)
-        nn = n[..., :, None] * n[..., None, :]
-        stiff = np.where(p > 0.0, NORMAL, 0.0)[..., None] * nn - stress * (p / distance)[..., None] * (
-            np.eye(3) - nn
-        )
-        q, hold = self._friction(away, stress)
-        return p * n - q, stiff + hold
+        traction, stiff = super().touch(u, depth, stress)
+        q, hold = self._friction(self.away(u, depth), stress)
+        return traction - q, stiff + hold
 
     def _friction(self, away: ndarray, stress: float) -> tuple[ndarray, ndarray]:
         """What holds the skin back, and its stiffness; without stress that of sticking, which is more."""
@@ -91,23 +81,14 @@ class Dragged(OffCentre):
         size = np.linalg.norm(along, axis=-1)
         return along, size, TANGENT * size > self._limit
 
-    def energy(self, state: Field, depth: float) -> float:
-        """Of the half disc, the springs of its contact and of its friction [E R^3]."""
-        u = self.displacement(state)
-        F, J, _, p = deformed(self, u)
-        if not (J > 0.0).all():
-            return np.inf
-        solid = self.w * (
-            SOLID.mu * (((F**2).sum(axis=(2, 3)) - 3.0) / 2 - np.log(J)) + p**2 / SOLID.lame / 2
-        )
+    def stored(self, u: ndarray, depth: float) -> ndarray:
         away = self.away(u, depth)
         sunk = np.maximum(1.0 - np.linalg.norm(away, axis=-1), 0.0)
         _, size, slips = self._lag(away)
-        most = np.where(slips, self._limit, 0.0)
-        held = np.where(
-            slips, most * (size - most / TANGENT / 2), np.where(self._limit > 0.0, TANGENT, 0.0) * size**2 / 2
+        sticking = np.where(self._limit > 0.0, TANGENT, 0.0) * size**2 / 2
+        return NORMAL * sunk**2 / 2 + np.where(
+            slips, self._limit * (size - self._limit / TANGENT / 2), sticking
         )
-        return float(solid.sum() + (self.top_area * (NORMAL * sunk**2 / 2 + held)).sum())
 
     def drag(self, state: Field, depth: float, shifts: list[float]) -> Iterator[tuple[float, Field]]:
         """The state at each of the ascending shifts, from one pressed without friction."""
@@ -188,7 +169,6 @@ def drags(
     cells: Cells = DRAGGED,
     depths: Sequence[float] = DEPTHS,
     shifts: Sequence[float] = SHIFTS,
-    keep: Path | None = None,
 ) -> Iterator[dict[str, float]]:
     """One press, and from some of its depths drags under each friction, shift by shift."""
     disc = HalfDisc(thickness, 0.0, cells)
@@ -196,19 +176,16 @@ def drags(
     for depth, u in press.through(STEPS):
         if depth not in depths:
             continue
-        pressed = np.zeros(disc.starts[-1])
+        pressed = np.zeros(disc.unknowns)
         pressed[disc.unknown[disc.unknown >= 0]] = u[disc.unknown >= 0]
         for friction in frictions:
             press.release()
             press.friction = friction
             yield row(press, pressed, thickness, depth)
             try:
-                for shift, dragged in press.drag(pressed, depth, shifts):
+                for _, dragged in press.drag(pressed, depth, shifts):
                     found = row(press, dragged, thickness, depth)
                     yield found
-                    if keep is not None:
-                        at = f"h{thickness:g}-d{depth:g}-mu{friction:g}-s{shift:g}-{cells.under}.npz"
-                        np.savez(keep / at, pressed=pressed, state=dragged)
                     if found["sticks"] < SLIDES:
                         break
             except ArithmeticError as stop:
@@ -223,7 +200,7 @@ def row(press: Dragged, state: Field, thickness: float, depth: float) -> dict[st
         "thickness": thickness,
         "depth": depth,
         "friction": press.friction,
-        "unknowns": int(press.disc.starts[-1]),
+        "unknowns": press.disc.unknowns,
         "shift": press.shift,
         "force": round(float(force), 6),
         "side_force": round(float(side), 6),
@@ -234,13 +211,8 @@ def row(press: Dragged, state: Field, thickness: float, depth: float) -> dict[st
 
 def main() -> int:
     """Solve, and write what was found."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--keep", type=Path, help="folder for the states, to compare stress with")
-    args = parser.parse_args()
     made: dict[str, list[dict[str, float]]] = {"drags": [], "finer": []}
-    jobs = {"drags": drags(2.0, keep=args.keep), "finer": drags(2.0, (1.0,), FINER, (0.6,), (0.06, 0.2))}
+    jobs = {"drags": drags(2.0), "finer": drags(2.0, (1.0,), FINER, (0.6,), (0.06, 0.2))}
     for name, rows in jobs.items():
         for one in rows:
             print(one, flush=True)

@@ -1,22 +1,17 @@
 """Make the tables of inclined presses that palpate ships: a tip on inclined tops, at finite strain, in 3-D.
 
-    python tools/inclined_tables.py --solve solved --tilt-deg 30 --mpa inf --mpa 0.035
-    python tools/inclined_tables.py --solved solved --out src/palpate/mechanics/tip_tables
-    python tools/inclined_tables.py --solve solved --tilt-deg 0 --mpa inf --mpa 0.2419 --mpa 0.035
-    python tools/inclined_tables.py --solve coarse --tilt-deg 30 --mpa 0.0987 --cells 8 10 4
-    python tools/inclined_tables.py --solved solved --check --coarse coarse   # to tools/inclined_study.json
+    python tools/inclined_tables.py solved --out src/palpate/mechanics/tip_tables
+    python tools/inclined_tables.py solved --check       # to tools/inclined_study.json
 
-One press takes one to three minutes of one core; its states are kept in a file of its own. A table is made of
-all presses of the tip whose files are there, and needs those at 0 degrees of the softest and the stiffest,
-where the head-on table shows how far outside of where these cells see it a contact's edge is.
+One press takes one to three minutes of one core. Those at 0 degrees show, against the head-on table, how far
+outside of where these cells see it a contact's edge is. Options are those of `table_runner`.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 import sys
-import time
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +23,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from finite_strain.cylinder import Cylinder
 from finite_strain.inclined import Fineness, Inclined, InclinedPress
+from table_runner import Arrays, keep_states, kept, run, write, write_study
 from tip_tables import TIPS
 
 from palpate.mechanics.axisymmetric.tip_table import tip_table
@@ -38,35 +34,35 @@ ACROSS, ASIDE = np.linspace(0.0, np.pi, 41), np.linspace(0.0, np.pi / 2, 21)
 AREA_TERMS = 4
 EDGE_FROM_N = 0.3  # below, a contact is of a few points only
 UNIT_MM = 5e-4  # of a motion in the table
-CELLS = Fineness.degrees, Cylinder.across, Cylinder.down
+TIP = "base"
+CELLS, COARSE = (Fineness.degrees, Cylinder.across, Cylinder.down), (8.0, 10, 4)
 SHOWN_N = np.array([1.0, 3.0, 5.0])
+PRESSES = (  # degrees, MPa
+    (0, np.inf), (0, 0.035), (30, np.inf), (30, 0.2419), (30, 0.035), (45, np.inf), (45, 0.2419),
+)  # fmt: skip
+COARSE_PRESS = 30, 0.2419  # which is pressed on coarser cells as well
+NAMES = ("approach_mm", "force_n", "area_mm2", "moved_mm")
 
 
-def solved(
-    tip: str, tilt_deg: float, mpa: float, folder: Path, cells: tuple[float, int, int] = CELLS
-) -> None:
-    """Solve one press and write its states after every one."""
+def name_of(tilt_deg: float, mpa: float) -> str:
+    """Of a press."""
+    return f"{TIP}_{tilt_deg:g}_{mpa:g}"
+
+
+def solve(path: Path, tilt_deg: float, mpa: float, cells: tuple[float, int, int] = CELLS) -> None:
+    """One press."""
     degrees, across, down = cells
     top = Cylinder(mpa, across=across, down=down) if np.isfinite(mpa) else None
-    press = InclinedPress(TIPS[tip], top, np.deg2rad(tilt_deg), fineness=Fineness(degrees))
-    started, states = time.process_time(), []
-    for state in press.states():
-        states.append(
-            (state.approach, press.force(state), press.area(state), press.span(state), inside(press, state))
-        )
-        approach, force, area, span, _ = states[-1]
-        print(
-            f"{tip} {tilt_deg:g} degrees {mpa:g} MPa: {approach:.2f} mm {force[2]:.4f} N, {area:.1f} mm2 "
-            f"from {span[0]:.1f} to {span[1]:.1f} mm up the slope; "
-            f"{press.iterations} moves, {time.process_time() - started:.0f} s", flush=True,
-        )  # fmt: skip
-        approaches, forces, areas, spans, moved = (np.array(c) for c in zip(*states, strict=True))
-        np.savez_compressed(
-            folder / f"{tip}_{tilt_deg:g}_{mpa:g}.npz", tip=tip, tilt_deg=tilt_deg, mpa=mpa, cells=cells,
-            approach_mm=approaches, force_n=forces, area_mm2=areas, span_mm=spans, moved_mm=moved,
-        )  # fmt: skip
-        if force[2] > MAX_N:
-            return
+    press = InclinedPress(TIPS[TIP], top, np.deg2rad(tilt_deg), fineness=Fineness(degrees))
+
+    def states() -> Iterator[tuple[float, ndarray, float, ndarray]]:
+        for one in press.states():
+            force = press.force(one)
+            yield one.approach, force, press.area(one), inside(press, one)
+            if force[2] > MAX_N:
+                return
+
+    keep_states(path, states(), NAMES)
 
 
 def inside(press: InclinedPress, state: Inclined) -> Float[ndarray, "a b 3"]:
@@ -107,7 +103,7 @@ def at_forces(press: dict[str, ndarray], unseen_mm: float = 0.0) -> dict[str, nd
     return found
 
 
-def unseen_mm(tip: str, presses: dict[tuple[float, float], dict[str, ndarray]]) -> interp1d:
+def unseen_mm(tip: str, presses: dict[tuple[float, float], Arrays]) -> interp1d:
     """How far outside of where the cells see it a contact's edge is, over a specimen's place.
 
     By presses at 0 degrees against the head-on table; between their moduli by a straight line.
@@ -128,39 +124,26 @@ def place_mm(tip: str, mpa: float) -> float:
     return 1e3 * float(tip_table(tip).press(1e6 * mpa).at("approach_m", np.array([3.0]))[0])
 
 
-def table(tip: str, folder: Path) -> dict[str, ndarray]:
-    """All presses of a tip."""
-    states = {}
-    for path in folder.glob(f"{tip}_*.npz"):
-        with np.load(path) as arrays:
-            one = {name: arrays[name] for name in arrays.files}
-        states[float(one["tilt_deg"]), float(one["mpa"])] = one
-    unseen = unseen_mm(tip, states)
+def tables(folder: Path, out: Path) -> None:
+    """Of all presses; what was not pressed at a tilt is NaN."""
+    solved = {pair: kept(folder / f"{name_of(*pair)}.npz") for pair in PRESSES}
+    unseen = unseen_mm(TIP, solved)
     presses = {
-        (tilt, mpa): at_forces(one, float(unseen(place_mm(tip, mpa))))
-        for (tilt, mpa), one in states.items()
-        if tilt > 0
-    }
-    tilts, moduli = (np.unique([key[i] for key in presses]) for i in (0, 1))
+        (tilt, mpa): at_forces(one, float(unseen(place_mm(TIP, mpa))))
+        for (tilt, mpa), one in solved.items() if tilt > 0
+    }  # fmt: skip
+    tilts, moduli = (np.unique([pair[i] for pair in presses]) for i in (0, 1))
     missing = {name: np.full_like(values, np.nan) for name, values in presses[tilts[0], np.inf].items()}
     columns = {
         name: np.array([[presses.get((t, E), missing)[name] for E in moduli] for t in tilts])
-        for name in ("approach_mm", "area_mm2", "moved_mm")
+        for name in missing
     }
-    made, nu = TIPS[tip], InclinedPress(TIPS[tip], None, 0.0).poisson_ratio
-    return {
-        "tilt_deg": tilts,
-        "specimen_mpa": moduli,
-        "force_n": FORCES_N,
-        "across_rad": ACROSS,
-        "aside_rad": ASIDE,
-        "approach_mm": columns["approach_mm"].astype(np.float32),
-        "area_mm2": columns["area_mm2"].astype(np.float32),
-        "moved_steps": steps(columns["moved_mm"]),
-        "unit_mm": np.array(UNIT_MM),
-        "tip": np.array([made.radius, made.skin, made.skin_mpa, made.gel_mpa, nu]),
-        "specimen": np.array([Cylinder.radius, Cylinder.height]),
-    }
+    made, nu = TIPS[TIP], InclinedPress.poisson_ratio
+    axes = {"tilt_deg": tilts, "specimen_mpa": moduli, "force_n": FORCES_N, "across_rad": ACROSS}
+    fixed = {"tip": (made.radius, made.skin, made.skin_mpa, made.gel_mpa, nu), "unit_mm": UNIT_MM}
+    fixed |= {name: columns[name].astype(np.float32) for name in ("approach_mm", "area_mm2")}
+    fixed |= {"moved_steps": steps(columns["moved_mm"]), "specimen": (Cylinder.radius, Cylinder.height)}
+    write(out / f"inclined-{TIP}.npz", {**axes, "aside_rad": ASIDE, **fixed})
 
 
 def steps(moved: Float[ndarray, "t s f a b 3"]) -> Int[ndarray, "3 t s f a b"]:
@@ -173,34 +156,22 @@ def steps(moved: Float[ndarray, "t s f a b 3"]) -> Int[ndarray, "3 t s f a b"]:
     return whole.astype(np.int16)
 
 
-def head_on_study(tip: str, folder: Path) -> dict[str, dict[str, list[float]]]:
-    """What three dimensions and their mesh cost: presses at 0 degrees over the head-on table, less 1."""
+def study(folder: Path) -> None:
+    """What three dimensions cost at 0 degrees, over the head-on table, and what the mesh does; less 1."""
     found = {}
-    for path in sorted(folder.glob(f"{tip}_0_*.npz")):
-        with np.load(path) as arrays:
-            press = {name: arrays[name] for name in arrays.files}
-        found[f"{named(tip, press)} over the head-on table"] = compared(
-            read_at(press), head_on(tip, 1e6 * float(press["mpa"]))
-        )
-    return found
+    for mpa in (mpa for tilt, mpa in PRESSES if tilt == 0):
+        press = read_at(kept(folder / f"{name_of(0, mpa)}.npz"))
+        found[f"{named(0, mpa)} over the head-on table"] = compared(press, head_on(TIP, 1e6 * mpa))
+    coarse, fine = (read_at(kept(folder / f"{name_of(*COARSE_PRESS)}{s}.npz")) for s in ("-coarse", ""))
+    cells = "{:g} degrees, {:g} cells across and {:g} down".format(*COARSE)
+    found[f"{named(*COARSE_PRESS)}, cells of {cells}"] = compared(coarse, fine)
+    write_study("inclined", found)
 
 
-def mesh_study(tip: str, folder: Path, coarse: Path) -> dict[str, dict[str, list[float]]]:
-    """What the mesh costs: presses on coarser cells over the same ones, less 1."""
-    found = {}
-    for path in sorted(coarse.glob(f"{tip}_*.npz")):
-        with np.load(path) as arrays, np.load(folder / path.name) as finer:
-            press, other = ({name: a[name] for name in a.files} for a in (arrays, finer))
-        cells = "{:g} degrees, {:g} cells across and {:g} down".format(*press["cells"])
-        found[f"{named(tip, press)}, cells of {cells}"] = compared(read_at(press), read_at(other))
-    return found
-
-
-def named(tip: str, press: dict[str, ndarray]) -> str:
+def named(tilt_deg: float, mpa: float) -> str:
     """What a press is called in the study."""
-    mpa = float(press["mpa"])
     on = f"{mpa:g} MPa" if np.isfinite(mpa) else "rigid"
-    return f"{tip}, {on}, {float(press['tilt_deg']):g} degrees, {', '.join(f'{n:g}' for n in SHOWN_N)} N"
+    return f"{TIP}, {on}, {tilt_deg:g} degrees, {', '.join(f'{n:g}' for n in SHOWN_N)} N"
 
 
 def read_at(press: dict[str, ndarray]) -> dict[str, ndarray]:
@@ -238,37 +209,8 @@ def compared(one: dict[str, ndarray], other: dict[str, ndarray]) -> dict[str, li
     return {name: np.round(values, 4).tolist() for name, values in over.items()}
 
 
-def main() -> None:
-    """Solve presses, or make the table of those that are solved."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--tip", choices=sorted(TIPS), default="base")
-    parser.add_argument("--solve", type=Path, help="folder for the states of presses, to be solved now")
-    parser.add_argument("--tilt-deg", type=float, action="append", default=[])
-    parser.add_argument("--mpa", type=float, action="append", default=[], help="inf for a rigid plate")
-    parser.add_argument("--solved", type=Path, help="folder of presses to make a table of")
-    parser.add_argument("--out", type=Path, help="folder for the table")
-    parser.add_argument(
-        "--cells", type=float, nargs=3, default=CELLS, metavar=("DEGREES", "ACROSS", "DOWN"),
-        help="of the skin, and numbers of the cylinder's",
-    )  # fmt: skip
-    parser.add_argument("--check", action="store_true", help="compare the solved presses at 0 degrees")
-    parser.add_argument(
-        "--coarse", type=Path, help="folder of the same presses on coarser cells, to compare too"
-    )
-    asked = parser.parse_args()
-    if asked.solve:
-        asked.solve.mkdir(parents=True, exist_ok=True)
-        for tilt in asked.tilt_deg:
-            for mpa in asked.mpa:
-                degrees, across, down = asked.cells
-                solved(asked.tip, tilt, mpa, asked.solve, (degrees, int(across), int(down)))
-    if asked.check:
-        study = head_on_study(asked.tip, asked.solved)
-        study |= mesh_study(asked.tip, asked.solved, asked.coarse) if asked.coarse else {}
-        (Path(__file__).parent / "inclined_study.json").write_text(json.dumps(study, indent=2) + "\n")
-    if asked.out:
-        np.savez_compressed(asked.out / f"inclined-{asked.tip}.npz", **table(asked.tip, asked.solved))
-
-
 if __name__ == "__main__":
-    main()
+    presses = {name_of(*pair): partial(solve, tilt_deg=pair[0], mpa=pair[1]) for pair in PRESSES}
+    tilt, modulus = COARSE_PRESS
+    coarser = {f"{name_of(tilt, modulus)}-coarse": partial(solve, tilt_deg=tilt, mpa=modulus, cells=COARSE)}
+    run(__doc__ or "", presses, tables, study, coarser)

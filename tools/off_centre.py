@@ -22,13 +22,15 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
-from scipy.linalg import LinAlgError, cholesky, solve_triangular
+from numpy.linalg import LinAlgError
 from scipy.optimize import brentq
 
 sys.path.insert(0, str(Path(__file__).parent))
 
 from finite_strain.disc import DISC_RADIUS
+from finite_strain.frontal import Elements, Factors, eliminated
 from finite_strain.neo_hookean import NeoHookean
+from finite_strain.press import extrapolated
 
 OUT = Path(__file__).parent.parent / "src/palpate/mechanics/tables/off_centre.json"
 SOLID = NeoHookean(0.49)
@@ -38,6 +40,8 @@ ROUNDING = 1e-12  # E R^3
 ITERATIONS = 30
 MAX_MOVE = 0.2  # R, of one Newton step
 SHORTEST_STEP = 5e-3  # R of depth
+EXACT = 1e-4  # of what is out of balance: left by conjugate gradients
+FEW, MANY = 40, 200  # of their steps with an old stiffness eliminated, and with the present one
 DENSE_TO = 1.05  # R from the sphere's axis, before loading
 MAX_DENSE = 0.8  # of a ray's length, where the rim is nearer than that
 OFFSETS = (0.0, 1.4, 2.8, 3.96, 4.2, 4.427, 4.7)  # 0, 7, 14, 19.8, 21, 22.14, 23.5 mm if R is 5 mm
@@ -149,11 +153,9 @@ class HalfDisc:
         number[0, 1:] = number[0, :1]
         return number
 
-    @cached_property
-    def starts(self) -> Int[ndarray, " ring"]:
-        """First unknown of every ring, and after the last one their count."""
-        counts = [np.unique(ring[ring >= 0]).size for ring in self.unknown]
-        return np.concatenate([[0], np.cumsum(counts)])
+    @property
+    def unknowns(self) -> int:
+        return int(self.unknown.max()) + 1
 
     @cached_property
     def bricks(self) -> Int[ndarray, "e 27"]:
@@ -183,6 +185,7 @@ class OffCentre:
 
     disc: HalfDisc
     iterations: int = field(default=0, init=False)
+    factors: Factors | None = field(default=None, init=False)
     normal: ClassVar[float] = NORMAL
 
     def __post_init__(self) -> None:
@@ -207,13 +210,13 @@ class OffCentre:
         self, depths: Sequence[float], known: Sequence[tuple[float, Field]] = ()
     ) -> Iterator[tuple[float, ndarray]]:
         """Displacement of every node, balanced at each of the ascending depths, beyond those known."""
-        past = [(0.0, np.zeros(self.disc.starts[-1])), *known][-3:]
+        past = [(0.0, np.zeros(self.disc.unknowns)), *known][-3:]
         for depth in depths:
             step = depth - past[-1][0]
             while past[-1][0] < depth - 1e-9:
                 target = min(depth, past[-1][0] + step)
                 try:
-                    past = [*past[-2:], (target, self._balance(_extrapolated(past, target), target))]
+                    past = [*past[-2:], (target, self._balance(extrapolated(past, target), target))]
                 except ArithmeticError:
                     step /= 2
                     if step < SHORTEST_STEP:
@@ -228,9 +231,13 @@ class OffCentre:
         x = (self.disc.nodes + u).reshape(-1, 3)[self.disc.bricks[self.tops].reshape(-1, 9, 3)[..., 0]]
         return self.top_shapes @ x
 
+    def away(self, u: ndarray, depth: float) -> ndarray:
+        """Places of the top's points from the sphere's centre."""
+        return self.top_places(u) - np.array([self.disc.offset, 0.0, depth - 1.0])
+
     def touch(self, u: ndarray, depth: float, stress: float = 1.0) -> tuple[ndarray, ndarray]:
         """Traction on the top per unloaded area, and -d traction / d displacement."""
-        away = self.top_places(u) - np.array([self.disc.offset, 0.0, depth - 1.0])
+        away = self.away(u, depth)
         distance = np.linalg.norm(away, axis=-1)[..., None]
         n = away / distance
         p = self.normal * np.maximum(1.0 - distance, 0.0)
@@ -274,9 +281,12 @@ class OffCentre:
             return np.inf
         stretched_by = (F**2).sum(axis=(2, 3)) - 3.0
         solid = self.w * (SOLID.mu * (stretched_by / 2 - np.log(J)) + p**2 / SOLID.lame / 2)
+        return float(solid.sum() + (self.top_area * self.stored(u, depth)).sum())
+
+    def stored(self, u: ndarray, depth: float) -> ndarray:
+        """Energy of the springs at the top's points, per area."""
         traction, _ = self.touch(u, depth)
-        springs = self.top_area * (traction**2).sum(axis=-1) / self.normal / 2
-        return float(solid.sum() + springs.sum())
+        return (traction**2).sum(axis=-1) / self.normal / 2
 
     def _assemble(
         self, state: Field, depth: float, stress: float = 1.0
@@ -315,31 +325,40 @@ class OffCentre:
         return total, K
 
     def _solved(self, K: Float[ndarray, "e 81 81"], b: Field) -> Field:
-        """Cholesky's method ring by ring: a front of three rings of nodes, of which two are done with."""
-        d = self.disc
-        per, dofs = d.cells.around * d.cells.deep, d.dofs.reshape(len(K), 81)
-        b, kept, carry = b.copy(), [], np.zeros((0, 0))
-        for a in range(d.cells.radial):
-            first, after, last = d.starts[[2 * a, 2 * a + 2, 2 * a + 3]]
-            n, m = last - first, after - first
-            ring = slice(a * per, (a + 1) * per)
-            at = dofs[ring] - first
-            at[dofs[ring] < 0] = n  # held
-            flat = (at[:, :, None] * (n + 1) + at[:, None, :]).ravel()
-            S = np.bincount(flat, K[ring].ravel(), minlength=(n + 1) ** 2).reshape(n + 1, n + 1)[:n, :n]
-            S[: len(carry), : len(carry)] += carry
-            m = n if a == d.cells.radial - 1 else m
-            L = cholesky(S[:m, :m], lower=True, check_finite=False)
-            W = solve_triangular(L, S[:m, m:], lower=True, check_finite=False)
-            carry = S[m:, m:] - W.T @ W
-            y = solve_triangular(L, b[first : first + m], lower=True, check_finite=False)
-            b[first + m : last] -= W.T @ y
-            kept.append((first, m, last, L, W, y))
-        for first, m, last, L, W, y in reversed(kept):
-            b[first : first + m] = solve_triangular(
-                L, y - W @ b[first + m : last], lower=True, trans=1, check_finite=False
-            )
-        return b
+        """Conjugate gradients, led by the last stiffness that was eliminated while that leads fast."""
+        if self.factors is not None:
+            try:
+                return self._led(K, b, FEW)
+            except ArithmeticError:
+                pass
+        group = np.repeat(np.arange(self.disc.cells.radial), len(K) // self.disc.cells.radial)
+        self.factors = None  # makes room
+        self.factors = eliminated([Elements(self.disc.dofs.reshape(len(K), 81), K, group)], len(b))
+        return self._led(K, b, MANY)
+
+    def _led(self, K: Float[ndarray, "e 81 81"], b: Field, most: int) -> Field:
+        dofs, n = self.disc.dofs.reshape(len(K), 81), len(b)
+        free, at = dofs >= 0, np.where(dofs >= 0, dofs, n)
+
+        def times(x: Field) -> Field:
+            y = np.einsum("eij,ej->ei", K, np.append(x, 0.0)[at])
+            return np.bincount(dofs[free], y[free], minlength=n)
+
+        x, r = np.zeros(n), b.copy()
+        z = self.factors.solve(r)
+        p, rz, end = z, r @ z, EXACT * np.linalg.norm(b)
+        for _ in range(most):
+            Kp = times(p)
+            if not p @ Kp > 0.0:
+                raise LinAlgError("the stiffness is not positive definite")
+            a = rz / (p @ Kp)
+            x, r = x + a * p, r - a * Kp
+            if np.linalg.norm(r) < end:
+                return x
+            z = self.factors.solve(r)
+            rz, before = r @ z, rz
+            p = z + rz / before * p
+        raise ArithmeticError("conjugate gradients do not end")
 
 
 def deformed(press: OffCentre, u: ndarray) -> tuple[ndarray, ndarray, ndarray, ndarray]:
@@ -357,14 +376,6 @@ def _on_top(values: Float[ndarray, "e 9 3"]) -> Float[ndarray, "e 27 3"]:
     return out.reshape(-1, 27, 3)
 
 
-def _extrapolated(past: list[tuple[float, Field]], depth: float) -> Field:
-    """The polynomial through the last balances, in the depth."""
-    known = past[-2:] if depth < 0.15 else past[-3:]
-    z = np.array([at for at, _ in known])
-    share = [np.prod((depth - np.delete(z, i)) / (z[i] - np.delete(z, i))) for i in range(len(z))]
-    return sum((s * state for s, (_, state) in zip(share, known, strict=True)), np.zeros_like(past[0][1]))
-
-
 def presses(thickness: float, offset: float, cells: Cells = MAIN) -> Iterator[dict[str, float]]:
     """One press, depth by depth: force into the disc, force towards its axis, and where it acts."""
     disc = HalfDisc(thickness, offset, cells)
@@ -375,7 +386,7 @@ def presses(thickness: float, offset: float, cells: Cells = MAIN) -> Iterator[di
             "thickness": thickness,
             "offset": offset,
             "depth": depth,
-            "unknowns": int(disc.starts[-1]),
+            "unknowns": disc.unknowns,
             "force": round(float(force), 6),
             "side_force": round(float(side), 6),
             "centre": round(centre, 5),

@@ -16,21 +16,15 @@ from typing import ClassVar, Protocol
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
-from scipy.linalg import LinAlgError
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from finite_strain.dissection import Dissection, Factors
 from finite_strain.rigid_probes import Distance, Points
 from off_centre import SOLID, Cells, HalfDisc, OffCentre, deformed, quadratic, stretched, with_middles
 
 NORMAL = 4000.0  # E/h, springs of the contact; they give by less than 1e-3 h
 HALF_SIDE = 2.85  # h, of the square: the palm's rim, 28.5 mm from the middle of 10 mm
 FACE_POINTS = 4  # of contact, each way on a brick's top
-EXACT = 1e-4  # of what is out of balance: left by conjugate gradients
-FEW, MANY = 40, 200  # of their steps with an old stiffness eliminated, and with the present one
-
-Field = Float[ndarray, " n"]
 
 
 class Shape(Protocol):
@@ -74,18 +68,6 @@ class Quarter(HalfDisc):
         free[:, 0, :, 1] = False
         return np.where(free, np.cumsum(free).reshape(free.shape) - 1, -1)
 
-    @cached_property
-    def starts(self) -> Int[ndarray, " two"]:
-        return np.array([0, int(self.unknown.max()) + 1])
-
-    @cached_property
-    def bricks(self) -> Int[ndarray, "e 27"]:
-        n, shape = [len(k) - 1 for k in self.knots], self.nodes.shape[:3]
-        first = np.stack(np.meshgrid(*(2 * np.arange(k) for k in n), indexing="ij"), -1)
-        inside = np.stack(np.meshgrid(*[np.arange(3)] * 3, indexing="ij"), axis=-1).reshape(27, 3)
-        at = first.reshape(-1, 1, 3) + inside
-        return np.ravel_multi_index(tuple(np.moveaxis(at, -1, 0)), shape)
-
 
 def quarter(x: ndarray, y: ndarray, z: ndarray) -> Quarter:
     """The layer between these planes."""
@@ -109,8 +91,6 @@ class ProbePress(OffCentre):
         self.top_area = (along[:, None, None, None] * across[:, None, None] * np.outer(w, w)).reshape(
             -1, FACE_POINTS**2
         )
-        self.factors: Factors | None = None
-        self.order = Dissection(d.unknown, d.dofs.reshape(len(d.bricks), 81))
 
     def touch(self, u: ndarray, depth: float, stress: float = 1.0) -> tuple[ndarray, ndarray]:
         away, n, turning = self.probe.distance(self.top_places(u) - np.array([0.0, 0.0, depth]))
@@ -131,38 +111,3 @@ class ProbePress(OffCentre):
         held = np.zeros(self.disc.nodes.shape[:3], bool)
         held[:, :, -1] = True
         return 4.0 * float(out[..., 2][held.ravel()[self.disc.bricks]].sum())
-
-    def _solved(self, K: Float[ndarray, "e 81 81"], b: Field) -> Field:
-        """Conjugate gradients, led by the last stiffness that was eliminated while that leads fast."""
-        if self.factors is not None:
-            try:
-                return self._led(K, b, FEW)
-            except ArithmeticError:
-                pass
-        self.factors = None
-        self.factors = self.order.factors(K)
-        return self._led(K, b, MANY)
-
-    def _led(self, K: Float[ndarray, "e 81 81"], b: Field, most: int) -> Field:
-        dofs, n = self.disc.dofs.reshape(len(K), 81), len(b)
-        free, at = dofs >= 0, np.where(dofs >= 0, dofs, n)
-
-        def times(x: Field) -> Field:
-            y = np.einsum("eij,ej->ei", K, np.append(x, 0.0)[at])
-            return np.bincount(dofs[free], y[free], minlength=n)
-
-        x, r = np.zeros(n), b.copy()
-        z = self.factors.solve(r)
-        p, rz, end = z, r @ z, EXACT * np.linalg.norm(b)
-        for _ in range(most):
-            Kp = times(p)
-            if not p @ Kp > 0.0:
-                raise LinAlgError("the stiffness is not positive definite")
-            a = rz / (p @ Kp)
-            x, r = x + a * p, r - a * Kp
-            if np.linalg.norm(r) < end:
-                return x
-            z = self.factors.solve(r)
-            rz, before = r @ z, rz
-            p = z + rz / before * p
-        raise ArithmeticError("conjugate gradients do not end")

@@ -1,24 +1,19 @@
 """Make the tables of probes without an axis pressed into a bonded layer, at finite strain, and study them.
 
-    python tools/probe_tables.py solved                  # a folder a probe; depths that are there are kept
     python tools/probe_tables.py solved --out src/palpate/mechanics/tables
-    python tools/probe_tables.py solved --mesh coarser   # the same on another mesh
-    python tools/probe_tables.py solved --check          # the study of it, to tools/probe_study.json
+    python tools/probe_tables.py solved --check    # on two other meshes as well, to tools/probe_study.json
 
-A probe takes two to eight minutes of one core, with `--probe` that one alone. Lengths are in thicknesses of
-the layer: of the palm's 10 mm.
+A probe takes ten minutes and more of one core. Lengths are in thicknesses of the layer: of the palm's 10 mm.
+Options are those of `table_runner`.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
 import sys
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
@@ -31,8 +26,8 @@ from finite_strain.brick_reading import NodalField, Now
 from finite_strain.rigid_probes import Balls, RoundedPrism
 from off_centre import SOLID, deformed, triquadratic, with_middles
 from probe_press import HALF_SIDE, ProbePress, Shape, graded, quarter
+from table_runner import keep_states, kept, run, write, write_study
 
-HERE = Path(__file__).parent
 ROUNDING = 0.05  # h, of all edges of cylinders and edges
 SLOPE = math.radians(30)  # of an edge's sides
 STRESS_QUANTUM = 2.0**-13  # E; stress is rounded to it so that it packs
@@ -101,23 +96,11 @@ def press_of(member: Member, finer: float = 1.0) -> ProbePress:
     return ProbePress(quarter(*member.knots(finer)), probe=member.probe)
 
 
-def solve(member: Member, folder: Path, finer: float = 1.0) -> None:
-    """Press through the depths and keep every balance; stops early, and says so, where the solver does."""
-    folder.mkdir(parents=True, exist_ok=True)
-    press, started = press_of(member, finer), time.process_time()
-    try:
-        known = [(one.depth, one.state) for one in Solved.all_of(press, folder)]
-        least = known[-1][0] + 1e-9 if known else 0.0
-        for depth, u in press.through([d for d in member.depths if d > least], known):
-            np.savez_compressed(folder / f"{depth:.3f}.npz", depth=depth, u=u)
-            print(
-                f"{folder.name} {depth:.3f} h: force {press.force(u, depth):.6f} E h^2, floor "
-                f"{press.reaction(u):.6f}, {press.iterations} iterations, "
-                f"{time.process_time() - started:.0f} s in all",
-                flush=True,
-            )
-    except ArithmeticError as stop:
-        print(f"stopped: {stop}", flush=True)
+def solve(path: Path, member: Member, finer: float = 1.0) -> None:
+    """Press through the depths and keep every balance."""
+    press = press_of(member, finer)
+    found = ((depth, press.force(u, depth), u) for depth, u in press.through(member.depths))
+    keep_states(path, found, ("depth", "force", "u"))
 
 
 @dataclass(frozen=True)
@@ -129,14 +112,10 @@ class Solved:
     u: ndarray
 
     @classmethod
-    def all_of(cls, press: ProbePress, folder: Path) -> Iterator[Solved]:
-        for path in sorted(folder.glob("*.npz")):
-            with np.load(path) as file:
-                yield cls(press, float(file["depth"]), file["u"])
-
-    @property
-    def state(self) -> ndarray:
-        return self.u[self.press.disc.unknown >= 0]
+    def all_of(cls, press: ProbePress, path: Path) -> Iterator[Solved]:
+        found = kept(path)
+        for depth, u in zip(found["depth"], found["u"], strict=True):
+            yield cls(press, float(depth), u)
 
     @property
     def force(self) -> float:
@@ -144,7 +123,7 @@ class Solved:
 
     @property
     def energy(self) -> float:
-        return 4.0 * self.press.energy(self.state, self.depth)
+        return 4.0 * self.press.energy(self.u[self.press.disc.unknown >= 0], self.depth)
 
     @property
     def area(self) -> float:
@@ -167,9 +146,8 @@ class Solved:
         """Cauchy stress at the nodes, from straight fits within bricks, meaned over those that meet there."""
         d, press = self.press.disc, self.press
         F, J, _, p = deformed(press, self.u)
-        s = SOLID.mu / J[..., None, None] * (F @ F.swapaxes(2, 3) - np.eye(3)) + p[..., None, None] * np.eye(
-            3
-        )
+        s = SOLID.mu / J[..., None, None] * (F @ F.swapaxes(2, 3) - np.eye(3))
+        s = s + p[..., None, None] * np.eye(3)
         s = np.stack([s[..., i, j] for i, j in ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))], axis=-1)
         places = triquadratic(3)[3]
         corners = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(27, 3)
@@ -241,85 +219,41 @@ def modes(values: Float[ndarray, "d ..."], quantum: float) -> tuple[ndarray, nda
     return amount / size, whole.astype(np.int16).reshape(keep, *values.shape[1:])
 
 
-def write(path: Path, member: Member, press: ProbePress, folder: Path) -> None:
-    """Write one table."""
-    solved = list(Solved.all_of(press, folder))
-    tops, stresses, peaks = zip(*(one.table() for one in solved), strict=True)
-    x, y, zeta = map(with_middles, press.disc.knots)
-    top_amount, top_mode = modes(np.stack(tops), TOP_QUANTUM)
-    amount, mode = modes(np.stack(stresses), STRESS_QUANTUM)
-    np.savez_compressed(
-        path,
-        shape=member.shape,
-        radius=member.radius,
-        length=member.length,
-        rounding=member.rounding,
-        poisson_ratio=0.49,
-        half_side=HALF_SIDE,
-        depth=np.array([one.depth for one in solved]),
-        force=np.array([one.force for one in solved]),
-        area=np.array([one.area for one in solved]),
-        peak_pressure=np.array(peaks),
-        x=x,
-        y=y,
-        zeta=zeta,
-        surface_amount=top_amount,
-        surface_mode=top_mode,
-        stress_amount=amount,
-        stress_mode=mode,
-    )
-    print(f"{path}: {path.stat().st_size / 1e6:.2f} MB, {len(mode)} modes", flush=True)
+def tables(folder: Path, out: Path) -> None:
+    """Write those that are solved."""
+    for name, member in MEMBERS.items():
+        if not (path := folder / f"probe-{name}.npz").exists():
+            continue
+        press = press_of(member)
+        solved = list(Solved.all_of(press, path))
+        tops, stresses, peaks = zip(*(one.table() for one in solved), strict=True)
+        arrays = dict(zip(("x", "y", "zeta"), map(with_middles, press.disc.knots), strict=True))
+        arrays |= {of: np.array([getattr(one, of) for one in solved]) for of in ("depth", "force", "area")}
+        for of, values, quantum in (("surface", tops, TOP_QUANTUM), ("stress", stresses, STRESS_QUANTUM)):
+            arrays[f"{of}_amount"], arrays[f"{of}_mode"] = modes(np.stack(values), quantum)
+        fixed = {of: getattr(member, of) for of in ("shape", "radius", "length", "rounding")}
+        fixed |= {"poisson_ratio": 0.49, "half_side": HALF_SIDE, "peak_pressure": np.array(peaks)}
+        write(out / path.name, arrays | fixed)
 
 
-def study(names: list[str], folder: Path) -> list[dict[str, float | str]]:
+def study(folder: Path) -> None:
     """Force, energy, area and greatest pressure on every mesh."""
-    rows: list[dict[str, float | str]] = []
-    for name in names:
+    rows = []
+    for name, member in MEMBERS.items():
         for mesh, finer in {"table": 1.0, **CHECKED}.items():
-            here = folder / (name if mesh == "table" else f"{name}-{mesh}")
-            if not here.exists():
-                continue
-            press = press_of(MEMBERS[name], finer)
-            for one in Solved.all_of(press, here):
-                rows.append(
-                    {
-                        "probe": name,
-                        "mesh": mesh,
-                        "unknowns": int(press.disc.starts[-1]),
-                        "depth": one.depth,
-                        "force": round(one.force, 6),
-                        "floor": round(-press.reaction(one.u), 6),
-                        "energy": round(one.energy, 8),
-                        "area": round(one.area, 5),
-                        "peak_pressure": round(one.table()[2], 4),
-                    }
-                )
-    return rows
-
-
-def main() -> None:
-    """The command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("solved", type=Path, help="folder of what was solved")
-    parser.add_argument("--probe", choices=sorted(MEMBERS), action="append")
-    parser.add_argument("--mesh", choices=sorted(CHECKED), help="solve on another mesh, for the study")
-    parser.add_argument("--out", type=Path, help="folder for the tables; without it presses are solved")
-    parser.add_argument("--check", action="store_true", help="write the study of what was solved")
-    args = parser.parse_args()
-    names = args.probe or sorted(MEMBERS)
-    if args.check:
-        held = {"lengths": "h", "stresses": "E", "forces": "E h^2", "meshes": study(names, args.solved)}
-        (HERE / "probe_study.json").write_text(json.dumps(held, indent=1) + "\n")
-        return
-    for name in names:
-        member, folder = MEMBERS[name], args.solved / (f"{name}-{args.mesh}" if args.mesh else name)
-        if args.out is not None:
-            write(args.out / f"probe-{name}.npz", member, press_of(member), folder)
-        else:
-            solve(member, folder, CHECKED.get(args.mesh, 1.0))
+            press, at = press_of(member, finer), f"probe-{name}" + (f"-{mesh}" if mesh in CHECKED else "")
+            for one in Solved.all_of(press, folder / f"{at}.npz"):
+                row = {"probe": name, "mesh": mesh, "unknowns": press.disc.unknowns, "depth": one.depth}
+                row |= {"force": round(one.force, 6), "floor": round(-press.reaction(one.u), 6)}
+                row |= {"energy": round(one.energy, 8), "area": round(one.area, 5)}
+                rows.append(row | {"peak_pressure": round(one.table()[2], 4)})
+    write_study("probe", {"lengths": "h", "stresses": "E", "forces": "E h^2", "meshes": rows})
 
 
 if __name__ == "__main__":
-    main()
+    presses = {f"probe-{name}": partial(solve, member=member) for name, member in MEMBERS.items()}
+    studied = {
+        f"probe-{name}-{mesh}": partial(solve, member=member, finer=finer)
+        for name, member in MEMBERS.items() for mesh, finer in CHECKED.items()
+    }  # fmt: skip
+    run(__doc__ or "", presses, tables, study, studied)

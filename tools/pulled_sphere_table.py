@@ -1,20 +1,18 @@
 """Make the table of a sphere that is pulled aside: what a pull adds to the press tables, to first order.
 
-    python tools/pulled_sphere_table.py    # some ten minutes on one core
+    python tools/pulled_sphere_table.py solved --out src/palpate/mechanics/tables    # ten minutes on one core
 
-Needs scikit-fem. `--raw` keeps what was solved before it is cut to modes.
+Needs scikit-fem. Options are those of `table_runner`; the study that it is held against is
+`dragged_sphere.py`'s.
 """
 
 from __future__ import annotations
 
-import argparse
 import sys
-import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
-import scipy.sparse as sp
-import scipy.sparse.linalg as spl
 from jaxtyping import Float
 from numpy import ndarray
 from scipy.optimize import brentq
@@ -25,12 +23,12 @@ from finite_strain.disc import Disc
 from finite_strain.neo_hookean import NeoHookean
 from finite_strain.press import Press
 from finite_strain.pulled import Increment, Pull
-from finite_strain.recover import Deformed, Grid, deformed, edge, tensor_order
+from finite_strain.recover import Deformed, Grid, deformed, edge, projection, tensor_order
+from table_runner import kept, run, write
 
 from palpate.mechanics.axisymmetric.pulled_sphere import FULL, mindlin_stiffness, radii_of, shares_down
 from palpate.mechanics.axisymmetric.shape_table import SphereTable
 
-OUT = Path(__file__).parent.parent / "src/palpate/mechanics/tables/pulled_sphere.npz"
 THICKNESSES = (1.8, 2.0, 2.2, 2.5, 4.0)
 DEPTHS = (0.02, 0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.75, 0.9, 1.0, 1.1, 1.2)
 SHARES = (0.0, 0.3, 0.6, 0.8, FULL)
@@ -65,21 +63,12 @@ class Added:
         middles = tuple(np.sort(np.concatenate([k, (k[1:] + k[:-1]) / 2])) for k in disc.knots)
         self.node = tensor_order(disc.cells.doflocs, *middles)
         _, _, J, _ = pull.pressed
-        self.weight = disc.weight * J
-        N, dofs = disc.shapes, disc.cells.element_dofs.T
-        mass = np.einsum("cq,cqa,cqb->cab", self.weight, N, N)
-        rows = np.broadcast_to(dofs[:, :, None], mass.shape)
-        columns = np.broadcast_to(dofs[:, None, :], mass.shape)
-        n = disc.nodes
-        self.mass = spl.splu(sp.csc_matrix((mass.ravel(), (rows.ravel(), columns.ravel())), shape=(n, n)))
+        self.projected = projection(disc, disc.weight * J)
 
     def nodal(self, one: Increment) -> Float[ndarray, "9 nodes"]:
         """Cauchy's stress at places of the skin that move along, and U, V, W."""
-        disc, s = self.pull.disc, self.pull.cauchy(one)
-        dofs, n = disc.cells.element_dofs.T, disc.nodes
-        load = np.einsum("cq,cqa,cqk->cak", self.weight, disc.shapes, s)
-        b = np.stack([np.bincount(dofs.ravel(), load[..., k].ravel(), minlength=n) for k in range(6)], axis=1)
-        stress = self.mass.solve(b).T
+        disc, n = self.pull.disc, self.pull.disc.nodes
+        stress = self.projected(self.pull.cauchy(one))
         axis = np.isclose(disc.cells.doflocs[0], 0.0)
         stress[np.ix_([0, 1, 2, 4], axis)] = 0.0
         across = (stress[3, axis] - stress[5, axis]) / 2
@@ -117,9 +106,9 @@ class Added:
         return stress, surface
 
 
-def solved(thickness: float) -> dict[str, ndarray]:
+def solve(path: Path, thickness: float) -> None:
     """Every depth and share of one disc."""
-    press, start = Press(Disc(thickness, CELL), NeoHookean(0.49), 0.0), time.process_time()
+    press = Press(Disc(thickness, CELL), NeoHookean(0.49), 0.0)
     table = SphereTable.of_disc(thickness, 0.0, 0.49)
     stiffness, shift, values = [], [], []
     for balanced in press.through(STEPS):
@@ -134,25 +123,17 @@ def solved(thickness: float) -> dict[str, ndarray]:
         # one mesh knows its own edge: stiffness goes with it, and is kept over that of its own radius
         stiffness.append(k / mindlin_stiffness(sum(edge(press, balanced)) / 2))
         shift.append([k * one.shift / one.force for one in made])
-        fields = [added.read(one, r, zeta) for one in made]
-        values.append(
-            [
-                np.concatenate([(s * a**2 / one.force).ravel(), top * a / one.force])
-                for one, (s, top) in zip(made, fields, strict=True)
-            ]
-        )
+        fields = [(one.force, *added.read(one, r, zeta)) for one in made]
+        values.append([np.concatenate([(s * a**2 / f).ravel(), top * a / f]) for f, s, top in fields])
         print(
-            f"h {thickness:g} depth {balanced.depth:g} R: stiffness {k:.4f} E R, "
-            f"{stiffness[-1]:.4f} of Mindlin's; "
-            f"slack {np.round(shift[-1], 4)}; {time.process_time() - start:.0f} s in all",
-            flush=True,
+            f"{path.stem} depth {balanced.depth:g} R: {stiffness[-1]:.4f} of Mindlin's stiffness", flush=True
         )
-    return {"stiffness": np.array(stiffness), "shift": np.array(shift), "values": np.array(values)}
+    np.savez(path, stiffness=stiffness, shift=shift, values=values)
 
 
-def write(path: Path, found: dict[float, dict[str, ndarray]]) -> None:
+def tables(folder: Path, out: Path) -> None:
     """Cut the fields to modes, and write them."""
-    made = [found[thickness] for thickness in sorted(found)]
+    made = [kept(folder / f"pulled-h{thickness:g}.npz") for thickness in THICKNESSES]
     values = np.stack([one["values"] for one in made])
     scale = np.sqrt((values**2).mean(axis=(0, 1, 2)))
     scale = np.maximum(scale, 1e-3 * scale.max()).astype(np.float16).astype(float)
@@ -163,41 +144,11 @@ def write(path: Path, found: dict[float, dict[str, ndarray]]) -> None:
     amount = np.linalg.lstsq(mode.astype(float).T, flat.T, rcond=None)[0].T
     left = flat - amount @ mode.astype(float)
     print(f"rms left out {np.sqrt((left**2).mean()):.1e} of each knot's own, worst {np.abs(left).max():.1e}")
-    np.savez_compressed(
-        path,
-        thickness=np.array(sorted(found)),
-        depth=np.array(DEPTHS),
-        share=np.array(SHARES),
-        stiffness=np.stack([one["stiffness"] for one in made]),
-        shift=np.stack([one["shift"] for one in made]),
-        amount=amount.reshape(*values.shape[:3], -1).astype(np.float32),
-        mode=mode,
-        scale=scale.astype(np.float16),
-    )
-    print(f"{path}: {path.stat().st_size / 1e6:.2f} MB")
-
-
-def main() -> int:
-    """The command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--out", type=Path, default=OUT)
-    parser.add_argument("--raw", type=Path, help="folder that keeps what was solved")
-    args = parser.parse_args()
-    found = {}
-    for thickness in sorted(THICKNESSES, key=lambda h: h != 2.0):
-        kept = None if args.raw is None else args.raw / f"pulled-h{thickness:g}.npz"
-        if kept is not None and kept.exists():
-            found[thickness] = dict(np.load(kept))
-            continue
-        found[thickness] = solved(thickness)
-        if kept is not None:
-            np.savez(kept, **found[thickness])
-            write(args.out, found)
-    write(args.out, found)
-    return 0
+    arrays = {name: np.stack([one[name] for one in made]) for name in ("stiffness", "shift")}
+    arrays |= {"thickness": np.array(THICKNESSES), "depth": np.array(DEPTHS), "share": np.array(SHARES)}
+    arrays |= {"amount": amount.reshape(*values.shape[:3], -1).astype(np.float32), "mode": mode}
+    write(out / "pulled_sphere.npz", arrays | {"scale": scale.astype(np.float16)})
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    run(__doc__ or "", {f"pulled-h{h:g}": partial(solve, thickness=h) for h in THICKNESSES}, tables)

@@ -1,18 +1,15 @@
 """Solve the virtual tip on specimens that are no flat cylinder: domes, rigid and soft, and bonded layers.
 
-    python tools/specimen_tables.py solved         # a file a press; those that are there are kept
     python tools/specimen_tables.py solved --out src/palpate/mechanics/tip_tables
-    python tools/specimen_tables.py solved --check     # to tools/specimen_study.json
+    python tools/specimen_tables.py solved --check     # of the shipped table, to tools/specimen_study.json
 
-Needs scikit-fem. Each press takes some twenty seconds of one core.
+Needs scikit-fem. Each press takes some twenty seconds of one core. Options are those of `table_runner`.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 import sys
-import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -23,8 +20,10 @@ sys.path.insert(0, str(Path(__file__).parent))
 from finite_strain import meeting
 from finite_strain.tip import Specimen, Tip, TipPress
 from scipy.interpolate import CubicSpline
-from tip_tables import CELLS as TABLE_CELLS, EVERY, FORCES_N, TIPS, tabulated
+from table_runner import Arrays, kept, run, write, write_study
+from tip_tables import CELLS as TABLE_CELLS, FORCES_N, TIPS, polar_rad, tabulated
 
+TIP = "base"
 CELLS = 40
 APPROACHES = np.concatenate([np.arange(0.25, 1.0, 0.25), np.arange(1.0, 24.0, 0.5)])  # mm
 DOMES_MM = (np.inf, 80.0, 40.0, 27.0, 20.0)
@@ -46,33 +45,24 @@ def layers() -> list[Specimen]:
     return [Specimen(E, h, LAYER_RADIUS_MM) for h in LAYERS_MM for E in LAYER_MPA]
 
 
-def file_of(folder: Path, tip: str, specimen: Specimen) -> Path:
-    """Where a press is kept."""
-    s = specimen
-    return folder / f"{tip}_E{s.mpa:g}_h{s.height:g}_r{s.radius:g}_R{s.dome:g}.npz"
+def name_of(s: Specimen) -> str:
+    """Of a press."""
+    return f"{TIP}_E{s.mpa:g}_h{s.height:g}_r{s.radius:g}_R{s.dome:g}"
 
 
-def solve(folder: Path, tip: str) -> None:
-    """Every press that is not there yet."""
-    folder.mkdir(exist_ok=True, parents=True)
-    for specimen in [*domes(), *layers()]:
-        path = file_of(folder, tip, specimen)
-        if path.exists():
-            continue
-        started = time.perf_counter()
-        found = tabulated(TipPress(TIPS[tip], specimen, cells=CELLS), APPROACHES)
-        np.savez(path, **found)
-        print(f"{path.name}: {time.perf_counter() - started:.0f} s", flush=True)
+def solve(path: Path, specimen: Specimen) -> None:
+    """One press."""
+    np.savez(path, **tabulated(TipPress(TIPS[TIP], specimen, cells=CELLS), APPROACHES))
 
 
-def differences(folder: Path, tip: str) -> dict[str, dict[str, ndarray]]:
+def differences(folder: Path) -> dict[str, Arrays]:
     """What shapes change, by family and column ``[shapes moduli forces ...]``; millimetres and MPa."""
 
-    def at(mpa: float, dome: float = np.inf) -> dict[str, ndarray]:
-        return dict(np.load(file_of(folder, tip, Specimen(mpa, dome=dome))))
+    def at(mpa: float, dome: float = np.inf) -> Arrays:
+        return kept(folder / f"{name_of(Specimen(mpa, dome=dome))}.npz")
 
-    def layer(mpa: float, height: float) -> dict[str, ndarray]:
-        return dict(np.load(file_of(folder, tip, Specimen(mpa, height, LAYER_RADIUS_MM))))
+    def layer(mpa: float, height: float) -> Arrays:
+        return kept(folder / f"{name_of(Specimen(mpa, height, LAYER_RADIUS_MM))}.npz")
 
     flat = {mpa: at(mpa) for mpa in DOME_MPA}
     rows = {
@@ -82,7 +72,7 @@ def differences(folder: Path, tip: str) -> dict[str, dict[str, ndarray]]:
             for h in LAYERS_MM
         ],
     }
-    coarse, fine = polar(tip, CELLS), polar(tip, TABLE_CELLS)
+    coarse, fine = polar_rad(TIP, CELLS), polar_rad(TIP, TABLE_CELLS)
 
     def on_table(values: ndarray) -> ndarray:
         return CubicSpline(coarse, values, axis=3)(fine) if values.ndim > SCALAR_AXES else values
@@ -96,13 +86,6 @@ def differences(folder: Path, tip: str) -> dict[str, dict[str, ndarray]]:
     }
 
 
-def polar(tip: str, cells: int) -> ndarray:
-    """Polar angles of the places on the skin's inside that a table of such cells keeps."""
-    body = TipPress(TIPS[tip], Specimen(np.inf), cells=cells)
-    r, z = body.places[body.shell(TIPS[tip].radius - TIPS[tip].skin)[::EVERY]].T
-    return np.arctan2(r, TIPS[tip].radius - z)
-
-
 def along_modes(values: list[ndarray], count: int) -> tuple[list[ndarray], ndarray, float]:
     """Places along the directions in which fields differ most, these, and the greatest error of it."""
     size = values[0].ndim - 3
@@ -114,9 +97,9 @@ def along_modes(values: list[ndarray], count: int) -> tuple[list[ndarray], ndarr
     return places, modes.reshape(count, *shape), float(np.abs(flat - flat @ modes.T @ modes).max())
 
 
-def reduce(folder: Path, tip: str, out: Path) -> None:
+def tables(folder: Path, out: Path) -> None:
     """Write the table of a tip, and print what keeping few directions costs."""
-    found = differences(folder, tip)
+    found = differences(folder)
     arrays: dict[str, ndarray] = {
         "dome_curvature_per_mm": 1 / np.array(DOMES_MM),
         "dome_mpa": np.array(DOME_MPA),
@@ -129,11 +112,11 @@ def reduce(folder: Path, tip: str, out: Path) -> None:
         arrays |= {f"{family}_{to}": columns[name].astype(np.float32) for name, to in names.items()}
     for name, to, count in (("inside_mm", "inside_m", MODES), ("energy_mpa", "energy_pa", MODES)):
         places, modes, error = along_modes([found[family][name] for family in found], count)
-        print(f"{tip}: {name} along {count} directions, off by up to {error:.2g}")
+        print(f"{TIP}: {name} along {count} directions, off by up to {error:.2g}")
         arrays[f"{to}_modes"] = modes
         for family, one in zip(found, places, strict=True):
             arrays[f"{family}_{to}"] = one.astype(np.float32)
-    np.savez_compressed(out / f"shapes-{tip}.npz", **arrays)
+    write(out / f"shapes-{TIP}.npz", arrays)
 
 
 BETWEEN = (
@@ -179,41 +162,32 @@ def small_loads() -> dict[str, dict[str, float]]:
     return found
 
 
-def study(folder: Path, tip: str) -> dict[str, dict[str, list[float] | float]]:
+def study(folder: Path) -> None:
     """What reading between solved specimens costs, and what the cells do, in per cent at 1, 3 and 5 N."""
     from palpate.mechanics.axisymmetric.shape_table import shape_table
 
     found: dict[str, dict[str, list[float] | float]] = {}
-    table = shape_table(tip)
+    table = shape_table(TIP)
     for s in FINER:
-        fine, coarse = (
-            tabulated(TipPress(TIPS[tip], s, cells=cells), APPROACHES) if cells != CELLS
-            else np.load(file_of(folder, tip, s)) for cells in (FINER_CELLS, CELLS)
-        )  # fmt: skip
+        fine = tabulated(TipPress(TIPS[TIP], s, cells=FINER_CELLS), APPROACHES)
+        coarse = kept(folder / f"{name_of(s)}.npz")
         found[f"{s.mpa:g} MPa, h {s.height:g} mm, R {s.dome:g} mm, {CELLS} cells over {FINER_CELLS}"] = {
-            f"{name}_percent": _percent(coarse[of] ** p, fine[of] ** p)
-            for name, of, p in (("area", "radius_mm", 2), ("approach", "approach_mm", 1))
+            "area_percent": _percent(coarse["radius_mm"] ** 2, fine["radius_mm"] ** 2),
+            "approach_percent": _percent(coarse["approach_mm"], fine["approach_mm"]),
         }
     for s in BETWEEN:
-        path = file_of(folder, tip, s)
-        if not path.exists():
-            np.savez(path, **tabulated(TipPress(TIPS[tip], s, cells=CELLS), APPROACHES))
-        solved = np.load(path)
-        press = (
-            table.layer(1e-3 * s.height, 1e6 * s.mpa) if s.height < LAYERS_MM[-1]
-            else table.dome(1e-3 * s.dome, 1e6 * s.mpa)
-        )  # fmt: skip
-        area, approach = (
-            np.interp(AT_N, FORCES_N, y) for y in (np.pi * solved["radius_mm"] ** 2, solved["approach_mm"])
-        )
-        inside = CubicSpline(polar(tip, CELLS), solved["inside_mm"], axis=1)(polar(tip, TABLE_CELLS))
+        solved, is_layer = kept(folder / f"{name_of(s)}.npz"), s.height < LAYERS_MM[-1]
+        size = 1e-3 * (s.height if is_layer else s.dome)
+        press = (table.layer if is_layer else table.dome)(size, 1e6 * s.mpa)
+        inside = CubicSpline(polar_rad(TIP, CELLS), solved["inside_mm"], axis=1)(polar_rad(TIP, TABLE_CELLS))
         off = np.abs(1e3 * press.at("inside_m", FORCES_N) - inside).max(axis=(1, 2))
+        area, approach = 1e6 * press.at("area_m2", FORCES_N), 1e3 * press.at("approach_m", FORCES_N)
         found[f"{s.mpa:g} MPa, h {s.height:g} mm, R {s.dome:g} mm, read between"] = {
-            "area_percent": (100 * (1e6 * press.at("area_m2", AT_N) / area - 1)).round(3).tolist(),
-            "approach_percent": (100 * (1e3 * press.at("approach_m", AT_N) / approach - 1)).round(3).tolist(),
+            "area_percent": _percent(area, np.pi * solved["radius_mm"] ** 2),
+            "approach_percent": _percent(approach, solved["approach_mm"]),
             "skin_um": (1e3 * np.interp(AT_N, FORCES_N, off)).round(2).tolist(),
         }
-    return found
+    write_study("specimen", found | small_loads())
 
 
 def _percent(one: ndarray, other: ndarray) -> list[float]:
@@ -222,22 +196,9 @@ def _percent(one: ndarray, other: ndarray) -> list[float]:
     return (100 * (of_one / of_other - 1)).round(3).tolist()
 
 
-def main() -> None:
-    """Solve, or reduce what was solved, or study it."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("solved", type=Path, help="folder of the presses")
-    parser.add_argument("--tip", choices=sorted(TIPS), default="base")
-    parser.add_argument("--out", type=Path, help="folder for the table; without it presses are solved")
-    parser.add_argument("--check", action="store_true", help="study the table that is shipped")
-    asked = parser.parse_args()
-    if asked.check:
-        found = study(asked.solved, asked.tip) | small_loads()
-        (Path(__file__).parent / "specimen_study.json").write_text(json.dumps(found, indent=2) + "\n")
-    elif asked.out is None:
-        solve(asked.solved, asked.tip)
-    else:
-        reduce(asked.solved, asked.tip, asked.out)
-
-
 if __name__ == "__main__":
-    main()
+    presses, between = [
+        {name_of(specimen): partial(solve, specimen=specimen) for specimen in some}
+        for some in ([*domes(), *layers()], BETWEEN)
+    ]
+    run(__doc__ or "", presses, tables, study, between)

@@ -15,8 +15,6 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-import time
-from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -28,8 +26,12 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import tip_tables
 from finite_strain.tip import Specimen, Tip, TipPress
+from sklearn.decomposition import PCA
+from sklearn.kernel_ridge import KernelRidge
+from sklearn.model_selection import GridSearchCV
+from sklearn.pipeline import make_pipeline
+from tally import NORMAL, Tally
 
-from palpate.core import PalpateError
 from palpate.estimators.unit_fit import GRAVITY_M_S2
 from palpate.mechanics.axisymmetric.tip_table import HeadOnPress, TipBetween, tip_between
 from palpate.sensors.tactip import tactip
@@ -48,17 +50,9 @@ RATIOS = np.exp(np.random.default_rng(77).uniform(np.log(12), np.log(56), 16))
 FORCE_N = (0.4, 4.8)
 FORCE_SHARE, FORCE_SD_N = 0.005, 0.02  # to which forces are known
 POSITION_M = 20e-6
-NEW, FULL, CHECKED = (
-    8,
-    120,
-    40,
-)  # presses that are read, of a full calibration, and of these left for its settings
+NEW, FULL = 8, 120  # presses that are read, and of a full calibration
 MASSES_G = (100.0, 300.0)
 CHANGE = 0.15
-NORMAL = 1.645
-
-Tally = dict[str, list[tuple[float, bool]]]
-Features = Callable[[Sequence[PlatePress]], ndarray]
 
 
 def solved_tip(ratio: float, folder: Path) -> TipBetween:
@@ -111,13 +105,10 @@ def truth(tip: VirtualTip, design: TipCopy) -> dict[str, float]:
     }  # fmt: skip
 
 
-def ridge(known: Sequence[PlatePress]) -> Callable[[PlatePress], float]:
-    """Force by a line in the mean radial motion of the pins, a little shrunk."""
-    x, y = np.array([radial(one) for one in known]), np.array([one.force_n for one in known])
-    mean, scale = x.mean(), x.std()
-    z = (x - mean) / scale
-    slope = float(z @ (y - y.mean())) / (float(z @ z) + 1e-2)
-    return lambda one: float(y.mean() + slope * (radial(one) - mean) / scale)
+def line(known: Sequence[PlatePress]) -> Callable[[PlatePress], float]:
+    """Force by a line in the mean radial motion of the pins."""
+    slope, offset = np.polyfit([radial(one) for one in known], [one.force_n for one in known], 1)
+    return lambda one: float(slope * radial(one) + offset)
 
 
 def radial(one: PlatePress) -> float:
@@ -129,36 +120,20 @@ def radial(one: PlatePress) -> float:
 
 def full_calibration(known: Sequence[PlatePress]) -> Callable[[PlatePress], float]:
     """Force by kernel ridge on principal components of the pins' motions, set by presses left out."""
-    X = np.stack([np.nan_to_num(one.moved_px - one.rest_px).ravel() for one in known])
-    y = np.array([one.force_n for one in known])
-    mean = X.mean(axis=0)
-    _, _, V = np.linalg.svd(X - mean, full_matrices=False)
-    best: tuple[float, Callable[[ndarray], ndarray]] | None = None
-    for parts in (3, 6, 10):
-        Z = (X - mean) @ V[:parts].T
-        unit = Z[:, 0].std()
-        for reach in (1.0, 3.0, 10.0, 30.0):
-            for noise in (1e-6, 1e-5, 1e-4, 1e-3):
-                law = _kernel_ridge(Z[:-CHECKED] / unit, y[:-CHECKED], reach, noise)
-                off = float(np.abs(law(Z[-CHECKED:] / unit) - y[-CHECKED:]).mean())
-                if best is None or off < best[0]:
-                    whole = _kernel_ridge(Z / unit, y, reach, noise)
 
-                    def read(x: ndarray, p: int = parts, u: float = unit, w: Callable = whole) -> ndarray:
-                        return w(((x - mean) @ V[:p].T) / u)
+    def motion(presses: Sequence[PlatePress]) -> ndarray:
+        return np.stack([np.nan_to_num(one.moved_px - one.rest_px).ravel() for one in presses])
 
-                    best = off, read
-    assert best is not None
-    law = best[1]
-    return lambda one: float(law(np.nan_to_num(one.moved_px - one.rest_px).ravel()[None])[0])
-
-
-def _kernel_ridge(Z: ndarray, y: ndarray, reach: float, noise: float) -> Callable[[ndarray], ndarray]:
-    def kernel(a: ndarray, b: ndarray) -> ndarray:
-        return np.exp(-((a[:, None] - b[None]) ** 2).sum(axis=2) / (2 * reach**2))
-
-    weights = np.linalg.solve(kernel(Z, Z) + noise * np.eye(len(Z)), y - y.mean())
-    return lambda z: y.mean() + kernel(z, Z) @ weights
+    force = np.array([one.force_n for one in known])
+    unit = PCA(1).fit_transform(motion(known)).std()
+    asked = {
+        "pca__n_components": (3, 6, 10),
+        "kernelridge__gamma": [1 / (2 * (reach * unit) ** 2) for reach in (1.0, 3.0, 10.0, 30.0)],
+        "kernelridge__alpha": (1e-6, 1e-5, 1e-4, 1e-3),
+    }
+    law = GridSearchCV(make_pipeline(PCA(), KernelRidge(kernel="rbf")), asked, cv=3)
+    law.fit(motion(known), force - force.mean())
+    return lambda one: float(law.predict(motion([one]))[0] + force.mean())
 
 
 def stiffened(tip: VirtualTip, skin: float, gel: float) -> VirtualTip:
@@ -173,101 +148,69 @@ def weighed(copy: TipCopy, tip: VirtualTip, rng: np.random.Generator, into: Tall
     """Lay known masses on a copy as it is now."""
     for mass_g in MASSES_G:
         one, _, _ = pressed(tip, 1e-3 * mass_g * GRAVITY_M_S2, rng)
-        try:
-            check = check_tip_weight(copy, [one], 1e-3 * mass_g)
-        except PalpateError as e:
-            print("   weight refused:", case, mass_g, str(e)[:90], flush=True)
-            into[f"weight, {case}: refused"].append((1.0, True))
-            continue
-        into[f"weight, {case}: stiffness said, change in %"].append(
-            (100 * check.stiffness_change, "stiffness" in check.drifted)
-        )
-        into[f"weight, {case}: ratio said, change in %"].append(
-            (100 * check.ratio_change, "ratio" in check.drifted)
-        )
+        check = into.attempted(f"weight, {case}", check_tip_weight, copy, [one], 1e-3 * mass_g)
+        for term in ("stiffness", "ratio") if check is not None else ():
+            change = 100 * getattr(check, f"{term}_change")
+            into.add(f"weight, {case}: {term} said, change in %", change, term in check.drifted)
 
 
-def study(tables: Path, copies: int, seed: int, first: int, whole: int) -> Iterator[Tally]:
+def read_new(name: str, copy: TipCopy, new: Sequence[tuple[PlatePress, float, float]], into: Tally) -> None:
+    """Force and depth of presses that no fit has seen."""
+    for one, force_n, depth_m in new:
+        read = into.attempted(name, read_plate_press, copy, one)
+        if read is not None:
+            held = abs(math.log(read.force_n / force_n)) <= NORMAL * read.force_share
+            into.add(f"{name}; new force, N", read.force_n - force_n, held)
+            into.interval(f"{name}; new depth, mm", read.depth_mm - 1e3 * depth_m, read.depth_sd_mm)
+
+
+def study(asked: argparse.Namespace, into: Tally) -> Iterator[int]:
     """Errors of every copy, and what was said; the first of all has no other copy's frames to refuse."""
     design = designed_tip(tactip(127))
     other: TipCopy | None = None
-    for k in range(first, copies):
-        rng, out = np.random.default_rng([seed, k]), defaultdict(list)
-        tip = drawn_tip(design.spec, solved_tip(float(RATIOS[k % len(RATIOS)]), tables), rng)
+    for k in range(asked.copies):
+        rng = np.random.default_rng([asked.seed, k])
+        tip = drawn_tip(design.spec, solved_tip(float(RATIOS[k % len(RATIOS)]), asked.tables), rng)
         known = [pressed(tip, f, rng)[0] for f in np.linspace(*FORCE_N, 10)]
         new = [pressed(tip, f, rng) for f in rng.uniform(*FORCE_N, NEW)]
         blind = [replace(one, position_m=None) for one in known]
-        fits = {"10 presses": fit_tip_copy(design, blind)}
-        if k < whole:
-            fits["10 presses and positions"] = fit_tip_copy(design, known)
-            fits["5 presses"] = fit_tip_copy(design, blind[1::2])
-        true = truth(tip, design)
-        for name, fit in fits.items():
-            for term, row in fit.copy.told.items():
-                off = row["value"] - true[term]
-                out[f"{name}; {term}"].append((off, abs(off) <= NORMAL * row["standard_deviation"]))
-            for one, force_n, depth_m in new:
-                try:
-                    read = read_plate_press(fit.copy, one)
-                except PalpateError as e:
-                    print("   refused:", name, force_n, str(e)[:100], flush=True)
-                    out[f"{name}; refused"].append((1.0, True))
-                    continue
-                off = read.force_n - force_n
-                held = abs(math.log(read.force_n / force_n)) <= NORMAL * read.force_share
-                out[f"{name}; new force, N"].append((off, held))
-                off = read.depth_mm - 1e3 * depth_m
-                out[f"{name}; new depth, mm"].append((off, abs(off) <= NORMAL * read.depth_sd_mm))
+        fits = {"10 presses": blind}
+        if k < asked.whole:
+            fits |= {"10 presses and positions": known, "5 presses": blind[1::2]}
+        true, copies = truth(tip, design), {}
+        for name, presses in fits.items():
+            copies[name] = fit_tip_copy(design, presses).copy
+            for term, row in copies[name].told.items():
+                into.interval(f"{name}; {term}", row["value"] - true[term], row["standard_deviation"])
+            read_new(name, copies[name], new, into)
         mean = float(np.mean([one.force_n for one in known]))
-        laws = {"mean": lambda _, m=mean: m, "line on mean radial motion, same 10": ridge(known)}
-        if k < whole:
+        laws = {"mean": lambda _, m=mean: m, "line on mean radial motion, same 10": line(known)}
+        if k < asked.whole:
             many = [pressed(tip, f, rng)[0] for f in rng.uniform(*FORCE_N, FULL)]
             laws[f"full calibration, {FULL} presses"] = full_calibration(many)
         for name, law in laws.items():
-            out[f"new force, N, by {name}"] += [(law(one) - force_n, True) for one, force_n, _ in new]
-        copy = fits["10 presses"].copy
-        sign = CHANGE if rng.uniform() < 0.5 else -CHANGE
-        weighed(copy, tip, rng, out, "nothing changed")
-        weighed(copy, replace(tip, force_ratio=tip.force_ratio * (1 + sign)), rng, out, "all by 15 %")
-        weighed(copy, stiffened(tip, 1.0, 1 + sign), rng, out, "gel by 15 %")
-        weighed(copy, stiffened(tip, 1.4, 1.0), rng, out, "skin by 40 %")
+            for one, force_n, _ in new:
+                into.add(f"new force, N, by {name}", law(one) - force_n, True)
+        copy, sign = copies["10 presses"], CHANGE if rng.uniform() < 0.5 else -CHANGE
+        for case, now in {
+            "nothing changed": tip,
+            "all by 15 %": replace(tip, force_ratio=tip.force_ratio * (1 + sign)),
+            "gel by 15 %": stiffened(tip, 1.0, 1 + sign),
+            "skin by 40 %": stiffened(tip, 1.4, 1.0),
+        }.items():
+            weighed(copy, now, rng, into, case)
         leaning = [pressed(tip, 2.0, rng, lean_rad=(math.radians(4.0), 0.0))[0]]
-        out["refused: weight that leans by 4 degrees"].append(
-            (1.0, refused(check_tip_weight, copy, leaning, 0.2))
-        )
+        into.attempted("weight that leans by 4 degrees", check_tip_weight, copy, leaning, 0.2)
         shuffled = rng.permutation([one.force_n for one in known])
         wrong = [replace(a, force_n=float(f)) for a, f in zip(blind, shuffled, strict=True)]
-        out["refused: shuffled forces"].append((1.0, refused(fit_tip_copy, design, wrong)))
+        into.attempted("shuffled forces", fit_tip_copy, design, wrong)
         if other is not None:
-            out["refused: another copy's frames"] += [
-                (1.0, refused(read_plate_press, other, one)) for one, _, _ in new[:4]
-            ]
-            unplaced = replace(other, rest_px=None, cells=None)
-            out["refused: another copy's frames, pins' places not known"] += [
-                (1.0, refused(read_plate_press, unplaced, one)) for one, _, _ in new[:4]
-            ]
+            for one, _, _ in new[:4]:
+                into.attempted("another copy's frames", read_plate_press, other, one)
+                unplaced = replace(other, rest_px=None, cells=None)
+                into.attempted("another copy's frames, places not known", read_plate_press, unplaced, one)
         other = copy
-        yield out
-
-
-def refused(verb: Callable, *arguments: object) -> bool:
-    """Whether it is refused."""
-    try:
-        verb(*arguments)
-    except PalpateError:
-        return True
-    return False
-
-
-def told(every: Tally) -> Iterator[str]:
-    """A line for each quantity."""
-    for name, results in every.items():
-        off = np.array([error for error, _ in results])
-        held = np.mean([inside for _, inside in results])
-        yield (
-            f"{name}: mean absolute {np.abs(off).mean():.3g}, mean {off.mean():.3g}, greatest "
-            f"{np.abs(off).max():.3g}; held or said {100 * held:.0f} % of {len(results)}"
-        )
+        yield k
 
 
 def main() -> None:
@@ -278,18 +221,11 @@ def main() -> None:
     parser.add_argument("--tables", type=Path, required=True, help="folder of solved tips, filled as needed")
     parser.add_argument("--copies", type=int, default=12)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--first", type=int, default=0, help="number of the first copy")
-    parser.add_argument(
-        "--whole", type=int, default=4, help="copies that have a full calibration, 5 presses, positions"
-    )
+    parser.add_argument("--whole", type=int, default=4, help="copies with a full calibration and other fits")
     asked = parser.parse_args()
     asked.tables.mkdir(exist_ok=True)
-    every: Tally = defaultdict(list)
-    start = time.monotonic()
-    for k, one in enumerate(study(asked.tables, asked.copies, asked.seed, asked.first, asked.whole)):
-        for name, results in one.items():
-            every[name] += results
-        print(f"\n{k + 1} copies, {time.monotonic() - start:.0f} s", *told(every), sep="\n", flush=True)
+    tally = Tally()
+    tally.follow(study(asked, tally))
 
 
 if __name__ == "__main__":

@@ -28,7 +28,7 @@ DOCS = Path(__file__).resolve().parents[1] / "docs"
 ORACLES = {
     room.__name__.removeprefix("oracles."): room.ORACLES for room in (contact, layers, tables, light, palm)
 }
-HEAD = ("what", "against", "allowed", "found")
+HEAD = "what | against | allowed | found"
 ROUNDING = 1e-14
 NOT_RUN = "not run"
 BLOCK = re.compile(r"<!-- (verified|measured): ([\w-]+) -->\n(.*?)<!-- end -->", re.DOTALL)
@@ -63,13 +63,11 @@ def found(oracle: Oracle, before: dict[tuple[str, str], str]) -> tuple[str, bool
 
 def checks(room: str, texts: list[str]) -> str:
     """The table of a room's checks."""
-    return table(
-        HEAD,
-        [
-            (o.name, o.against, "0" if o.allowed == 0 else f"{o.allowed:.2g}".replace("e-0", "e-"), text)
-            for o, text in zip(ORACLES[room], texts, strict=True)
-        ],
-    )
+    rows = []
+    for o, text in zip(ORACLES[room], texts, strict=True):
+        allowed = "0" if o.allowed == 0 else f"{o.allowed:.2g}".replace("e-0", "e-")
+        rows.append(f"{o.name} | {o.against} | {allowed} | {text}")
+    return table(HEAD, rows)
 
 
 def blocks() -> Iterator[tuple[Path, str, str, str]]:

@@ -1,9 +1,8 @@
-"""Control points of a patterned pad: the published chain plain and fast, the robust detector, and following.
+"""Control points of a patterned pad: the published chain, the robust detector, and following.
 
 Run ``python benchmarks/estimators/control_points.py [--rounds 9]``. Frames are 1280 x 960 px, a checkerboard
-of 48 px tiles rendered with noise; loading is not counted. The plain chain is what a user would write from
-the paper with OpenCV and NumPy. Before anything is timed the fast chain must give its midpoints. Grouping is
-timed on 164 x 164 quadrilaterals; the double loop on a few of them, scaled by the number of pairs.
+of 48 px tiles rendered with noise; loading is not counted. The published chain is what a user would write
+from the paper with OpenCV and NumPy.
 """
 
 from __future__ import annotations
@@ -27,14 +26,8 @@ from palpate.estimators.lattice import (
 )
 from palpate_reproductions.nusense.quadrilaterals import (
     QuadSettings,
-    midpoints_by_pairs,
-    midpoints_by_tree,
     published_stages,
-    quad_midpoints,
 )
-
-SAME_PX = 0.05
-SIDE, PART = 164, 24
 
 
 def frames() -> list[np.ndarray]:
@@ -45,13 +38,6 @@ def frames() -> list[np.ndarray]:
         for b in (0.0, 2.0)
     ]
     return [noisy(board(view, samples=2), rng) for view in views]
-
-
-def grid(side: int) -> np.ndarray:
-    """Quadrilaterals of a checkerboard's bright tiles, as many across as down ``[side^2 4 2]``."""
-    i, j = np.meshgrid(np.arange(side), np.arange(side))
-    middles = np.stack([2 * i + j % 2, j], axis=-1).reshape(-1, 1, 2) * 24.0
-    return middles + 10.0 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
 
 
 def timed(calls: dict[str, Callable[[], object]], rounds: int) -> dict[str, np.ndarray]:
@@ -81,9 +67,7 @@ def main() -> None:
     cv2.setNumThreads(1)
     rest, pressed = frames()
     settings = QuadSettings(pitch_px=45.0)
-    plain, fast = published_stages(rest, settings).midpoints, quad_midpoints(rest, settings)
-    assert plain.shape == fast.shape
-    assert np.abs(plain - fast).max() < SAME_PX
+    midpoints = published_stages(rest, settings).midpoints
     tracker = MarkTracker(rest, 45.0)
     pair = [pressed, rest]
     tracked = []
@@ -94,24 +78,14 @@ def main() -> None:
 
     taken = timed(
         {
-            "published chain, plain": lambda: published_stages(rest, settings),
-            "published chain, fast": lambda: quad_midpoints(rest, settings),
+            "published chain": lambda: published_stages(rest, settings),
             "robust detector, with errors": lambda: find_checkerboard(rest, 45.0),
             "followed, with errors": follow,
         },
         rounds,
     )
     assert not any(tracked)
-    table(f"{len(plain)} midpoints, 1280 x 960 px, ms a frame, one thread", taken)
-
-    part, whole = grid(SIDE // PART), grid(SIDE)
-    loop = timed({"loop": lambda: midpoints_by_pairs(list(part), 41.0)}, 3)["loop"]
-    scale = (len(whole) / len(part)) ** 2
-    tree = timed({"tree": lambda: midpoints_by_tree(whole, 41.0)}, rounds)["tree"]
-    table(
-        f"grouping {SIDE} x {SIDE} quadrilaterals, ms",
-        {f"double loop, {len(part)} of them, scaled": loop * scale, "tree of their middles": tree},
-    )
+    table(f"{len(midpoints)} midpoints, 1280 x 960 px, ms a frame, one thread", taken)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import itertools
 import os
-import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -107,27 +106,17 @@ def growth(spec: PalmSpec) -> None:
     print("  (2 times is linear)\n")
 
 
-def memory_mb() -> float:
-    """What the process holds now [MB]; Linux only."""
-    pages = Path("/proc/self/statm").read_text(encoding="ascii").split()[1]
-    return int(pages) * os.sysconf("SC_PAGE_SIZE") / 1e6
-
-
 def peak_mb(call: Callable[[], object]) -> float:
-    """Most memory held during a call beyond that before it [MB], looked at every 2 ms."""
-    before, most, done = memory_mb(), 0.0, threading.Event()
+    """Most memory held during a call beyond that before it [MB]; Linux only."""
 
-    def watch() -> None:
-        nonlocal most
-        while not done.wait(2e-3):
-            most = max(most, memory_mb())
+    def held(name: str) -> float:
+        lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
+        return next(int(line.split()[1]) for line in lines if line.startswith(name)) * 1.024e-3
 
-    watcher = threading.Thread(target=watch)
-    watcher.start()
+    Path("/proc/self/clear_refs").write_text("5", encoding="ascii")  # the peak begins anew
+    before = held("VmRSS")
     call()
-    done.set()
-    watcher.join()
-    return most - before
+    return held("VmHWM") - before
 
 
 def main() -> None:

@@ -15,7 +15,7 @@ from palpate.workflows.tactip_trials import record_press
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 
-from tactip.centre_presses import NOISE_PX, CentrePress
+from centre_presses import NOISE_PX, CentrePress
 
 SIZES = Nuisances()
 LEVELS_N = np.array([1.5, 3.0, 4.5])

@@ -14,9 +14,10 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 from skfem import CellBasis, ElementQuad1, ElementQuad2, FacetBasis, MeshQuad  # type: ignore[import-untyped]
 
+from .revolved import GAUSS_ORDER, Meridian
+
 DISC_RADIUS = 5.7
 DENSE_TO = 1.15  # material radius under which the mesh is finest; the deepest contact reaches about 0.9
-GAUSS_ORDER = 5  # three points a direction
 
 
 def graded(length: float, cell: float, dense_to: float, growth: float) -> Float[ndarray, " n"]:
@@ -34,7 +35,7 @@ def graded_inwards(cell: float, dense_from: float, growth: float) -> Float[ndarr
 
 
 @dataclass(frozen=True)
-class Disc:
+class Disc(Meridian):
     """Mesh and precomputed shape functions of one disc.
 
     Attributes:
@@ -101,28 +102,6 @@ class Disc:
     def top_dofs(self) -> Int[ndarray, "facets 18"]:
         nodes = self.top.element_dofs.T
         return np.hstack([nodes, nodes + self.nodes])
-
-    @cached_property
-    def distance(self) -> Float[ndarray, "cells q"]:
-        """From the axis, of every quadrature point [R]."""
-        return np.asarray(self.cells.global_coordinates())[0]
-
-    @cached_property
-    def weight(self) -> Float[ndarray, "cells q"]:
-        """Area times r at every quadrature point; times 2 pi it is the reference volume."""
-        return self.distance * self.cells.dx
-
-    @cached_property
-    def gradient(self) -> Float[ndarray, "cells q 5 18"]:
-        """From a cell's displacements to the five parts rr, rz, zr, zz, tt of the displacement gradient."""
-        cells, q = self.weight.shape
-        B = np.zeros((cells, q, 5, 18))
-        for a, shape in enumerate(self.cells.basis):
-            N, dN = np.asarray(shape[0]), shape[0].grad
-            B[..., 0, a], B[..., 1, a] = dN[0], dN[1]
-            B[..., 2, a + 9], B[..., 3, a + 9] = dN[0], dN[1]
-            B[..., 4, a] = N / self.distance
-        return B
 
     @cached_property
     def shapes(self) -> Float[ndarray, "cells q 9"]:

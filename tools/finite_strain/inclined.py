@@ -27,6 +27,7 @@ from .bricks import OUTSIDE, Bricks, gauss, serendipity
 from .cylinder import Cylinder
 from .frontal import Elements, eliminated
 from .meeting import penalty
+from .press import extrapolated
 from .revolved import InsideOutError
 from .surface_contact import Below, below, pressed
 from .tip import CORE, ConvergenceError, Tip
@@ -182,11 +183,6 @@ class InclinedPress:
         flat = -np.cross(along[:, :, 0], along[:, :, 1]) @ self.axes[2]
         return float(2.0 * (np.abs(flat) * w)[state.touched.pressure > PRESSING].sum())
 
-    def span(self, state: Inclined) -> tuple[float, float]:
-        """Where the contact begins and ends, up the top's slope from its middle [mm]."""
-        x = self._over(state.u, state.approach)[1][..., 0][state.touched.pressure > PRESSING]
-        return (float(x.min()), float(x.max())) if len(x) else (0.0, 0.0)
-
     def states(self) -> Iterator[Inclined]:
         """Balance at ever greater approaches, in steps as long as Newton's method likes."""
         past, step = [self.untouched()], FIRST_STEP
@@ -211,7 +207,9 @@ class InclinedPress:
 
     def _balance(self, past: list[Inclined], approach: float) -> Inclined:
         """Newton's method from the curve through the last states."""
-        u, top = (_onwards(past, [getattr(p, name) for p in past], approach) for name in ("u", "top"))
+        u, top = (
+            extrapolated([(p.approach, getattr(p, name)) for p in past], approach) for name in ("u", "top")
+        )
         out, answer = self._assemble(u, top, approach)
         balanced = RESIDUAL if self.top is None else RESIDUAL_ON_CYLINDER * (1 + approach)
         for iteration in range(ITERATIONS):
@@ -334,13 +332,6 @@ def _summed(
     if len(which):
         out, K = (np.add.reduceat(values[order], starts) for values in (out, K))
     return Elements(unknowns[which], K, group[which]), out
-
-
-def _onwards(past: list[Inclined], values: list[ndarray], approach: float) -> ndarray:
-    """The polynomial through the last states."""
-    z = np.array([p.approach for p in past])
-    share = [np.prod((approach - np.delete(z, i)) / (z[i] - np.delete(z, i))) for i in range(len(z))]
-    return sum((s * v for s, v in zip(share, values, strict=True)), np.zeros_like(values[0]))
 
 
 def _graded(

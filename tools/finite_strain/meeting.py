@@ -1,9 +1,9 @@
-"""Contact of a tip's skin with a specimen's top, both of revolution, without friction or with none slipping.
+"""Contact of a tip's skin with a specimen's top, both of revolution, without friction.
 
 Quadrature points of the unloaded skin look straight down at the deformed top: with z_s(r) its height at the
 point's own radius, the gap is g = z - z_s(r), and the energy is the integral over the unloaded skin of a
 penalty that rises smoothly where g < 0. It depends on the gap alone, so the force is along the normal of the
-top. Where nothing slips, springs along r hold every point to the place of the top it first touched.
+top.
 """
 
 from __future__ import annotations
@@ -12,24 +12,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from numpy import ndarray
 
 POINTS = 5  # Gauss points a facet
 STIFFNESS = 2.0  # MPa/mm: at 0.05 MPa the skin sinks 25 um in
 SMOOTH = 2e-4  # mm of gap over which the penalty sets in
-TIE = 1.0  # MPa/mm, of the springs that keep points from slipping
 
 Points = Float[ndarray, " p"]
-
-
-@dataclass(frozen=True)
-class Ties:
-    """What points that must not slip hold to: facet of the top (-1: none), place on it, offset [mm]."""
-
-    facet: Int[ndarray, " p"]
-    xi: Points
-    offset: Points
 
 
 @dataclass(frozen=True)
@@ -77,12 +67,6 @@ class Meeting:
         r = np.einsum("pa,pa->p", self.shapes, at[..., 0])
         return self._gauss[1] * np.hypot(*along.T) * r
 
-    @cached_property
-    def free(self) -> Ties:
-        """No point is tied."""
-        n = len(self.nodes)
-        return Ties(np.full(n, -1), np.zeros(n), np.zeros(n))
-
     def under(self, u: Float[ndarray, "nodes 2"]) -> tuple[Float[ndarray, "p 2"], Int[ndarray, " p"], Points]:
         """Where the points are, which facet of the top is under each (-1 beyond it), and where on it."""
         x = np.einsum("pa,pai->pi", self.shapes, (self.places + u)[self.nodes])
@@ -96,7 +80,7 @@ class Meeting:
             xi -= (bend * xi**2 + rise * xi + r[:, 1] - x[:, 0]) / (2 * bend * xi + rise)
         return x, np.where(beyond, -1, facet), np.where(beyond, 0.0, xi)
 
-    def touch(self, u: Float[ndarray, "nodes 2"], ties: Ties) -> Touch:
+    def touch(self, u: Float[ndarray, "nodes 2"]) -> Touch:
         """Pressure, and what it does to the nodes of both bodies."""
         x, facet, xi = self.under(u)
         here = facet >= 0
@@ -123,38 +107,7 @@ class Meeting:
         )
         dofs = _dofs(self.nodes, top)
         kept = here & (k > STIFFNESS * 1e-9)
-        tied = self._tied(u, x, ties)
-        pressing = force[kept], stiffness[kept], dofs[kept]
-        both = (np.concatenate(pair) for pair in zip(pressing, tied, strict=True))
-        return Touch(gap, p, x[:, 0], *both)
-
-    def _tied(
-        self, u: Float[ndarray, "nodes 2"], x: Float[ndarray, "p 2"], ties: Ties
-    ) -> tuple[Float[ndarray, "c 12"], Float[ndarray, "c 12 12"], Int[ndarray, "c 12"]]:
-        """Springs along r of the points that are tied."""
-        held = ties.facet >= 0
-        top, N = self.top[ties.facet[held]], _shapes(ties.xi[held])
-        r = np.einsum("pa,pa->p", N, (self.places + u)[top][..., 0])
-        apart = x[held, 0] - r - ties.offset[held]
-        first = np.zeros((int(held.sum()), 12))
-        first[:, 0:6:2], first[:, 6::2] = self.shapes[held], -N
-        w = TIE * self.weight[held, None]
-        return (
-            w * apart[:, None] * first,
-            w[..., None] * first[:, :, None] * first[:, None, :],
-            _dofs(self.nodes[held], top),
-        )
-
-    def tied(self, u: Float[ndarray, "nodes 2"], touching: Bool[ndarray, " p"], ties: Ties) -> Ties:
-        """The ties after this state: points that touch for the first time are tied where they are."""
-        x, facet, xi = self.under(u)
-        new = touching & (ties.facet < 0)
-        r = np.einsum("pa,pa->p", _shapes(xi), (self.places + u)[self.top[facet]][..., 0])
-        return Ties(
-            np.where(new, facet, ties.facet),
-            np.where(new, xi, ties.xi),
-            np.where(new, x[:, 0] - r, ties.offset),
-        )
+        return Touch(gap, p, x[:, 0], force[kept], stiffness[kept], dofs[kept])
 
 
 def penalty(gap: Points, smooth: float = SMOOTH) -> tuple[Points, Points]:

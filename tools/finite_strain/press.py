@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -25,7 +25,7 @@ GROWTH = 30.0  # a changed contact may raise the residual for an iteration or tw
 State = Float[ndarray, " n"]
 
 
-class ConvergenceError(Exception):
+class ConvergenceError(ArithmeticError):
     """Newton's method found no balance at this depth."""
 
 
@@ -80,7 +80,8 @@ class Press:
             while past[-1].depth < depth - 1e-12:
                 target = min(depth, past[-1].depth + step)
                 try:
-                    past = [*past[-2:], self._balance(past[-1], target, _extrapolated(past, target))]
+                    guess = extrapolated([(b.depth, b.state) for b in past], target)
+                    past = [*past[-2:], self._balance(past[-1], target, guess)]
                 except ConvergenceError:
                     step /= 2
                     if step < SHORTEST_STEP:
@@ -133,8 +134,7 @@ class Press:
         d = self.disc
         B, w, N = d.gradient, d.weight, d.corner_shapes
         cells, q = w.shape
-        H = (B @ state[d.displacement_dofs][:, None, :, None])[..., 0]
-        p = np.einsum("cqa,ca->cq", N, state[d.pressure_dofs])
+        H, p = strained(d, state)
         P, A, JG, J = first_piola(self.solid.mu, H, p)
         if not (J > 0.0).all():
             raise ConvergenceError(f"depth {depth:g} R: a cell turned inside out")
@@ -162,17 +162,23 @@ class Press:
         return out[d.free], sp.csc_matrix((data, self._indices, self._indptr), shape=(n, n)), now
 
 
+def strained(d: Disc, state: State) -> tuple[Float[ndarray, "cells q 5"], Float[ndarray, "cells q"]]:
+    """Displacement gradient and pressure at every quadrature point."""
+    H = (d.gradient @ state[d.displacement_dofs][:, None, :, None])[..., 0]
+    return H, np.einsum("cqa,ca->cq", d.corner_shapes, state[d.pressure_dofs])
+
+
 def _pairs(a: Int[ndarray, "c i"], b: Int[ndarray, "c j"]) -> tuple[Int[ndarray, " k"], Int[ndarray, " k"]]:
     shape = (len(a), a.shape[1], b.shape[1])
     return np.broadcast_to(a[:, :, None], shape).ravel(), np.broadcast_to(b[:, None, :], shape).ravel()
 
 
-def _extrapolated(past: list[Balanced], depth: float) -> State:
-    """The polynomial through the last balances; a straight line while the contact is young."""
-    known = past[-2:] if depth < 0.15 else past[-3:]
-    z = np.array([b.depth for b in known])
-    share = [np.prod((depth - np.delete(z, i)) / (z[i] - np.delete(z, i))) for i in range(len(z))]
-    return sum((s * b.state for s, b in zip(share, known, strict=True)), np.zeros_like(past[0].state))
+def extrapolated(past: Sequence[tuple[float, ndarray]], to: float) -> ndarray:
+    """The polynomial through the last states, by their places; a straight line while the contact is young."""
+    known = past[-2:] if to < 0.15 else past[-3:]
+    z = np.array([at for at, _ in known])
+    share = [np.prod((to - np.delete(z, i)) / (z[i] - np.delete(z, i))) for i in range(len(z))]
+    return sum((s * state for s, (_, state) in zip(share, known, strict=True)), np.zeros_like(past[0][1]))
 
 
 def _solve(K: sp.csc_matrix, b: State) -> State:

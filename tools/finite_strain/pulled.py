@@ -29,7 +29,7 @@ from numpy import ndarray
 
 from .disc import Disc
 from .neo_hookean import deformation, inverse_transpose, volume_ratio
-from .press import Balanced, Press
+from .press import Balanced, Press, strained
 
 NINE = tuple((i, j) for i in range(3) for j in range(3))  # parts of the gradient over (r, z, t)
 TANGENT = 2000.0  # E/R
@@ -90,10 +90,8 @@ class Pull:
     @cached_property
     def pressed(self) -> tuple[ndarray, ndarray, ndarray, ndarray]:
         """F, F^-T, J and pressure of the balance at the quadrature points."""
-        d, state = self.disc, self.balanced.state
-        H = (d.gradient @ state[d.displacement_dofs][:, None, :, None])[..., 0]
+        H, p = strained(self.disc, self.balanced.state)
         F = deformation(H)
-        p = np.einsum("cqa,ca->cq", d.corner_shapes, state[d.pressure_dofs])
         return F, inverse_transpose(F), volume_ratio(F), p
 
     @cached_property

@@ -6,6 +6,7 @@ weighted by deformed volume, then read at (r, z) of the deformed body by inverti
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -18,7 +19,7 @@ from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
 from .disc import Disc
 from .neo_hookean import NeoHookean, cauchy, deformation, volume_ratio
-from .press import Balanced, Press
+from .press import Balanced, Press, strained
 
 SAMPLES = 24  # a cell, along the deformed top
 INVERSIONS = 40
@@ -131,21 +132,27 @@ def contact_radii(depth: Knots, edges: Float[ndarray, "n 2"]) -> Knots:
 
 
 def _projected(disc: Disc, solid: NeoHookean, balanced: Balanced) -> Float[ndarray, "4 nodes"]:
-    state = balanced.state
-    H = (disc.gradient @ state[disc.displacement_dofs][:, None, :, None])[..., 0]
-    p = np.einsum("cqa,ca->cq", disc.corner_shapes, state[disc.pressure_dofs])
+    H, p = strained(disc, balanced.state)
     weight = disc.weight * volume_ratio(deformation(H))
-    N, dofs = disc.shapes, disc.cells.element_dofs.T
+    s = projection(disc, weight)(cauchy(solid, H, p))
+    s[3, np.isclose(disc.cells.doflocs[0], 0.0)] = 0.0  # no shear on the axis
+    return s
+
+
+def projection(disc: Disc, weight: Float[ndarray, "cells q"]) -> Callable[[ndarray], ndarray]:
+    """From values ``[cells q k]`` at the quadrature points to the nearest continuous field, by its nodes."""
+    N, dofs, n = disc.shapes, disc.cells.element_dofs.T, disc.nodes
     mass = np.einsum("cq,cqa,cqb->cab", weight, N, N)
-    load = np.einsum("cq,cqa,cqk->cak", weight, N, cauchy(solid, H, p))
     rows = np.broadcast_to(dofs[:, :, None], mass.shape)
     columns = np.broadcast_to(dofs[:, None, :], mass.shape)
-    n = disc.nodes
-    M = sp.csc_matrix((mass.ravel(), (rows.ravel(), columns.ravel())), shape=(n, n))
-    b = np.stack([np.bincount(dofs.ravel(), load[..., k].ravel(), minlength=n) for k in range(4)], axis=1)
-    s = spl.splu(M).solve(b).T
-    s[3, np.isclose(disc.cells.doflocs[0], 0.0)] = 0.0  # no shear on the axis
-    return np.asarray(s)
+    factors = spl.splu(sp.csc_matrix((mass.ravel(), (rows.ravel(), columns.ravel())), shape=(n, n)))
+
+    def nodal(values: Float[ndarray, "cells q k"]) -> Float[ndarray, "k nodes"]:
+        load = np.einsum("cq,cqa,cqk->kca", weight, N, values)
+        b = [np.bincount(dofs.ravel(), one.ravel(), minlength=n) for one in load]
+        return np.asarray(factors.solve(np.stack(b, axis=1)).T)
+
+    return nodal
 
 
 def tensor_order(places: ndarray, R: Knots, Z: Knots) -> Int[ndarray, "nr nz"]:

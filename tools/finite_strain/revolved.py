@@ -29,8 +29,35 @@ class InsideOutError(Exception):
     """A cell's volume became negative."""
 
 
+class Meridian:
+    """What biquadratic cells of a meridian half-plane know before any load."""
+
+    cells: CellBasis
+
+    @cached_property
+    def distance(self) -> Float[ndarray, "cells q"]:
+        """From the axis, of every quadrature point."""
+        return np.asarray(self.cells.global_coordinates())[0]
+
+    @cached_property
+    def weight(self) -> Float[ndarray, "cells q"]:
+        """Area times r at every quadrature point; times 2 pi it is the reference volume."""
+        return self.distance * self.cells.dx
+
+    @cached_property
+    def gradient(self) -> Float[ndarray, "cells q 5 18"]:
+        """From a cell's displacements to the parts rr, rz, zr, zz, tt of their gradient."""
+        B = np.zeros((*self.weight.shape, 5, 18))
+        for a, shape in enumerate(self.cells.basis):
+            N, dN = np.asarray(shape[0]), shape[0].grad
+            B[..., 0, a], B[..., 1, a] = dN[0], dN[1]
+            B[..., 2, a + 9], B[..., 3, a + 9] = dN[0], dN[1]
+            B[..., 4, a] = N / self.distance
+        return B
+
+
 @dataclass(frozen=True)
-class Revolved:
+class Revolved(Meridian):
     """A mesh of the meridian half-plane and the elasticity of its cells."""
 
     mesh: MeshQuad2
@@ -38,7 +65,7 @@ class Revolved:
     poisson_ratio: float
 
     @cached_property
-    def basis(self) -> CellBasis:
+    def cells(self) -> CellBasis:
         return CellBasis(self.mesh, ElementQuad2(), intorder=GAUSS_ORDER)
 
     @property
@@ -48,7 +75,7 @@ class Revolved:
 
     @cached_property
     def nodes_of(self) -> Int[ndarray, "cells 9"]:
-        return np.asarray(self.basis.element_dofs.T)
+        return np.asarray(self.cells.element_dofs.T)
 
     @cached_property
     def dofs_of(self) -> Int[ndarray, "cells 18"]:
@@ -65,28 +92,9 @@ class Revolved:
         return 2 * self.mu * nu / (1 - 2 * nu)
 
     @cached_property
-    def distance(self) -> Float[ndarray, "cells q"]:
-        return np.asarray(self.basis.global_coordinates())[0]
-
-    @cached_property
-    def weight(self) -> Float[ndarray, "cells q"]:
-        return self.distance * self.basis.dx
-
-    @cached_property
-    def gradient(self) -> Float[ndarray, "cells q 5 18"]:
-        """From a cell's displacements to the parts rr, rz, zr, zz, tt of their gradient."""
-        B = np.zeros((*self.weight.shape, 5, 18))
-        for a, shape in enumerate(self.basis.basis):
-            N, dN = np.asarray(shape[0]), shape[0].grad
-            B[..., 0, a], B[..., 1, a] = dN[0], dN[1]
-            B[..., 2, a + 9], B[..., 3, a + 9] = dN[0], dN[1]
-            B[..., 4, a] = N / self.distance
-        return B
-
-    @cached_property
     def linear(self) -> Float[ndarray, "q 3"]:
         """1, xi, eta at the quadrature points of any cell."""
-        xi, eta = self.basis.X - 0.5
+        xi, eta = self.cells.X - 0.5
         return np.stack([np.ones_like(xi), xi, eta], axis=-1)
 
     @cached_property

@@ -29,8 +29,9 @@ from .press import (
     ConvergenceError,
     Press,
     State,
-    _extrapolated,
     _solve,
+    extrapolated,
+    strained,
 )
 from .sphere import NORMAL, Top, Touch
 
@@ -76,7 +77,6 @@ def touch(
         traction=p[..., None] * n,
         stiffness=np.where(held, normal, 0.0)[..., None, None] * nn - turning * (np.eye(2) - nn),
         pressure=p,
-        shear=np.zeros_like(p),
         angle=np.arctan2(n[..., 0], n[..., 1]),
         anchor=np.where(touching, 0.0, np.nan),
         touching=touching,
@@ -102,7 +102,8 @@ class PunchPress(Press):
             while past[-1].depth < depth - 1e-12:
                 target = min(depth, past[-1].depth + step)
                 try:
-                    found = self._balance(past[-1], target, _extrapolated(past, target))
+                    guess = extrapolated([(b.depth, b.state) for b in past], target)
+                    found = self._balance(past[-1], target, guess)
                 except ConvergenceError:
                     step = (target - past[-1].depth) / 2
                     if step < SHORTEST_STEP:
@@ -135,7 +136,7 @@ class PunchPress(Press):
         for _ in range(ITERATIONS):
             if np.abs(out).max() < RESIDUAL:
                 low, high = EVEN
-                J = self.volume_ratios(state)
+                J = volume_ratio(deformation(strained(self.disc, state)[0]))
                 if not (low < J.min() and J.max() < high):
                     raise ConvergenceError(f"depth {depth:g} R: cells are folded, J {J.min():.2f}")
                 return state, now
@@ -147,18 +148,11 @@ class PunchPress(Press):
             out, K, now = self._assemble(state, depth, anchor, normal)
         raise ConvergenceError(f"depth {depth:g} R: {np.abs(out).max():.1e} left out of balance")
 
-    def volume_ratios(self, state: State) -> Float[ndarray, "cells q"]:
-        """J at every quadrature point."""
-        d = self.disc
-        H = (d.gradient @ state[d.displacement_dofs][:, None, :, None])[..., 0]
-        return volume_ratio(deformation(H))
-
     def energy(self, balanced: Balanced) -> float:
         """Strain energy of the disc [E R^3]."""
-        d, solid, state = self.disc, self.solid, balanced.state
-        H = (d.gradient @ state[d.displacement_dofs][:, None, :, None])[..., 0]
+        d, solid = self.disc, self.solid
+        H, p = strained(d, balanced.state)
         F = deformation(H)
         J = volume_ratio(F)
-        p = np.einsum("cqa,ca->cq", d.corner_shapes, state[d.pressure_dofs])
         shear = solid.mu / 2.0 * ((F**2).sum(axis=(-2, -1)) - 3.0) - solid.mu * np.log(J)
         return float(2.0 * np.pi * (d.weight * (shear + p**2 / (2.0 * solid.lame))).sum())

@@ -27,7 +27,6 @@ class Touch:
     traction: Float[ndarray, "facets q 2"]  # on the skin, per unloaded area
     stiffness: Float[ndarray, "facets q 2 2"]  # -d traction / d displacement
     pressure: Top
-    shear: Top
     angle: Top
     anchor: Top  # after slipping; NaN where the point does not touch
     touching: Bool[ndarray, "facets q"]
@@ -85,7 +84,6 @@ def touch(
         traction=p[..., None] * n - tau[..., None] * t,
         stiffness=stiffness,
         pressure=p,
-        shear=tau,
         angle=angle,
         anchor=np.where(touching, np.where(held, angle - tau / TANGENT, angle), np.nan),
         touching=touching,

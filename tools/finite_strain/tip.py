@@ -17,7 +17,7 @@ import scipy.sparse.linalg as spl
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from .meeting import Meeting, Ties, Touch
+from .meeting import Meeting, Touch
 from .revolved import Displacement, InsideOutError, Revolved, tensor_mesh
 
 RESIDUAL = 2e-7  # N over 2 pi, the greatest force left out of balance
@@ -31,7 +31,7 @@ DENSE_TO = np.deg2rad(60.0)  # polar angle up to which skin cells are fine
 DENSE_TO_MM = 18.0  # radius up to which the specimen's are
 
 
-class ConvergenceError(Exception):
+class ConvergenceError(ArithmeticError):
     """Newton's method found no balance at this approach."""
 
 
@@ -78,7 +78,6 @@ class Balanced:
     approach: float  # mm
     u: Displacement
     touch: Touch
-    ties: Ties
 
 
 @dataclass
@@ -88,7 +87,6 @@ class TipPress:
     tip: Tip
     specimen: Specimen
     poisson_ratio: float = 0.48
-    sticks: bool = False
     cells: int = 60  # of the skin up to 60 degrees
     iterations: int = field(default=0, init=False)
 
@@ -177,7 +175,7 @@ class TipPress:
 
     def untouched(self) -> Balanced:
         u = np.zeros_like(self.places)
-        return Balanced(0.0, u, self.meeting.touch(u, self.meeting.free), self.meeting.free)
+        return Balanced(0.0, u, self.meeting.touch(u))
 
     def through(self, approaches: Iterable[float]) -> Iterator[Balanced]:
         """Balance at each of the ascending approaches [mm], by shorter steps where one does not converge."""
@@ -200,7 +198,7 @@ class TipPress:
     def _balance(self, last: Balanced, approach: float) -> Balanced:
         """Newton's method; its first step moves the base along with all that hangs on it."""
         u, free = last.u.copy(), self.free
-        out, K, touch = self._assemble(u, last.ties)
+        out, K, touch = self._assemble(u)
         move = np.zeros_like(u)
         move[self.base] = 0.0, last.approach - approach
         pull = K @ move.ravel()
@@ -210,19 +208,18 @@ class TipPress:
             step = spl.splu(K[free][:, free], permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
             move.ravel()[free] = step.solve(-(out + pull)[free])
             u = u + (1.0 if iteration == 0 else min(1.0, MAX_MOVE / np.abs(move).max())) * move
-            out, K, touch = self._assemble(u, last.ties)
+            out, K, touch = self._assemble(u)
             move, pull = np.zeros_like(u), np.zeros(u.size)
             worst = float(np.abs(out[free]).max())
             if worst < (RESIDUAL if iteration < PATIENT else SETTLED):
-                ties = self.meeting.tied(u, touch.gap < 0, last.ties) if self.sticks else last.ties
-                return Balanced(approach, u, touch, ties)
+                return Balanced(approach, u, touch)
             if not worst < GROWTH * max(before, 1e-2):
                 break
             before = worst
         raise ConvergenceError(f"approach {approach:g} mm: {worst:.1e} N left out of balance")
 
-    def _assemble(self, u: Displacement, ties: Ties) -> tuple[ndarray, sp.csc_matrix, Touch]:
-        touch = self.meeting.touch(u, ties)
+    def _assemble(self, u: Displacement) -> tuple[ndarray, sp.csc_matrix, Touch]:
+        touch = self.meeting.touch(u)
         dofs, forces, blocks = [touch.dofs], [touch.force], [touch.stiffness]
         for body, first in self.bodies:
             try:

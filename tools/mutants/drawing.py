@@ -1,7 +1,7 @@
-"""Drawing of mutants, by a seeded generator, from the code whose errors would cost most.
+"""Drawing of mutants, by a seeded generator, from the code whose errors would cost most: one a line.
 
-Kinds are drawn in turn and modules evenly, one mutant a line. What is no semantics is left out: annotations,
-messages, guards against rounding, counts of points, and arguments whose swap only raises a TypeError.
+What is no semantics is left out: annotations, messages, guards against rounding, counts of points, and
+arguments whose swap only raises a TypeError.
 """
 
 from __future__ import annotations
@@ -12,184 +12,10 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 
-from mutants.frozen import SOURCE, TOP, Mutant, functions_of, lines_of, path_of
+from mutants.frozen import SOURCE, TOP, Mutant, frozen, functions_of, lines_of, path_of
 
 SEED = 20261122
 KINDS = ("sign", "constant", "comparison", "dropped term", "swapped axis")
-
-# Modules that mutants are drawn from, each with its nearest tests: how many of an area, and which.
-AREAS: dict[str, tuple[int, dict[str, tuple[str, ...]]]] = {
-    "core mathematics": (
-        38,
-        {
-            "palpate.mechanics.layers.contact_solver": (
-                "tests/mechanics/test_indenters.py",
-                "tests/mechanics/test_contact_solver.py",
-                "tests/mechanics/test_friction_solver.py",
-            ),
-            "palpate.mechanics.half_space.hertz": (
-                "tests/laws/test_hertz.py",
-                "tests/mechanics/test_subsurface.py",
-                "tests/mechanics/test_hertz_pairs.py",
-                "tests/mechanics/test_partial_slip.py",
-            ),
-            "palpate.mechanics.layers.layer_stress": ("tests/mechanics/test_layer_stress.py",),
-            "palpate.mechanics.layers.bonded_layer": ("tests/mechanics/test_bonded_layer.py",),
-            "palpate.mechanics.axisymmetric.shape_table": (
-                "tests/mechanics/test_sphere_table.py",
-                "tests/mechanics/test_edge_correction.py",
-            ),
-            "palpate.mechanics.axisymmetric.axisymmetric_fem": (
-                "tests/mechanics/test_axisymmetric_fem.py",
-                "tests/mechanics/test_creeping_press.py",
-            ),
-            "palpate.mechanics.half_space.sneddon": ("tests/mechanics/test_sneddon.py",),
-            "palpate.mechanics.layers.stack": (
-                "tests/mechanics/test_stack.py",
-                "tests/mechanics/test_layer_stress.py",
-            ),
-            "palpate.mechanics.layers.stack_friction": (
-                "tests/mechanics/test_stack_field.py",
-                "tests/mechanics/test_stack_friction.py",
-            ),
-            "palpate.mechanics.layers.influence": (
-                "tests/mechanics/test_stack_field.py",
-                "tests/mechanics/test_contact_solver.py",
-            ),
-            "palpate.mechanics.axisymmetric.tilted_tip": (
-                "tests/mechanics/test_tilted_tip.py",
-                "tests/mechanics/test_friction_solver.py",
-            ),
-            "palpate.mechanics.axisymmetric.tip_table": ("tests/mechanics/test_tip_table.py",),
-            "palpate.mechanics.probe_contact": ("tests/mechanics/test_resultant.py",),
-            "palpate.optics.march": (
-                "tests/optics/test_axisymmetric_march.py",
-                "tests/laws/test_polariscope.py",
-            ),
-            "palpate.optics.image_chain": (
-                "tests/optics/test_camera_response.py",
-                "tests/laws/test_noise.py",
-                "tests/optics/test_illumination.py",
-            ),
-            "palpate.optics.colour": ("tests/laws/test_colour.py",),
-            "palpate.optics.march_kernels": ("tests/optics/test_compiled_march.py",),
-            "palpate.optics.polariscope": (
-                "tests/optics/test_polariscopes.py",
-                "tests/laws/test_polariscope.py",
-                "tests/optics/test_wall_refraction.py",
-            ),
-            "palpate.optics.axisymmetric_kernels": ("tests/optics/test_axisymmetric_march.py",),
-            "palpate.optics.stress_optic": (
-                "tests/optics/test_stress_optic.py",
-                "tests/laws/test_polariscope.py",
-            ),
-        },
-    ),
-    "parsers": (
-        20,
-        {
-            "palpate.core.units": ("tests/core/test_units.py",),
-            "palpate.recordings.clock_offset": ("tests/recordings/test_clock_offset.py",),
-            "palpate.recordings.exchange.image_import": (
-                "tests/recordings/test_import_images.py",
-                "tests/recordings/test_import_press.py",
-            ),
-            "palpate.sensors.palm.palm_import": ("tests/sensors/test_palm_import.py",),
-            "palpate.recordings.label_tables": (
-                "tests/recordings/test_label_tables.py",
-                "tests/recordings/test_run_reader.py",
-            ),
-            "palpate.recordings.exchange.press_folder": ("tests/recordings/test_press_folder.py",),
-            "palpate.recordings.exchange.press_table": ("tests/recordings/test_press_table.py",),
-            "palpate.recordings.segments.segment_reader": (
-                "tests/recordings/test_run_reader.py",
-                "tests/recordings/test_repair.py",
-            ),
-            "palpate.recordings.exchange.frame_sequences": ("tests/recordings/test_tiff.py",),
-            "palpate.rig.real.grbl.grbl_parser": ("tests/rig/test_grbl_parser.py",),
-            "palpate.rig.real.netft.netft_calibration": ("tests/rig/test_netft_calibration.py",),
-            "palpate.rig.real.netft.netft_stream": ("tests/rig/test_netft_stream.py",),
-        },
-    ),
-    "guards": (
-        14,
-        {
-            "palpate.estimators.guard.novelty": ("tests/estimators/test_novelty.py",),
-            "palpate.devices.motion_guard": ("tests/devices/test_motion_guard.py",),
-            "palpate.devices.motion_limits": ("tests/devices/test_motion_limits.py",),
-            "palpate.devices.force_bias": ("tests/devices/test_force_bias.py",),
-        },
-    ),
-    "splits": (
-        10,
-        {
-            "palpate.calibration.leakage": ("tests/calibration/test_leakage.py",),
-            "palpate.recordings.splits": ("tests/recordings/test_splits.py",),
-        },
-    ),
-    "certificates": (
-        16,
-        {
-            "palpate.calibration.certificate": ("tests/calibration/test_fitting.py",),
-            "palpate.calibration.evaluation": (
-                "tests/calibration/test_evaluation.py",
-                "tests/calibration/test_fitting.py",
-            ),
-            "palpate.calibration.coverage.conformal": ("tests/calibration/test_conformal.py",),
-            "palpate.estimators.compliance.stiffness_curve": ("tests/estimators/test_stiffness_curve.py",),
-            "palpate.estimators.certified": (
-                "tests/estimators/test_certified.py",
-                "tests/calibration/test_conformal.py",
-            ),
-        },
-    ),
-}
-
-# Found by hand in a review of the tests before the list was drawn.
-NAMED = (
-    (
-        "palpate.calibration.coverage.conformal",
-        "conformal_quantile",
-        "rank = min(int(np.ceil((n + 1) * coverage)), n)",
-        "rank = min(int(np.ceil(n * coverage)), n)",
-        "dropped term",
-    ),
-    (
-        "palpate.estimators.compliance.stiffness_curve",
-        "SoftnessCurve.of",
-        "half = float(np.hypot(t * spread, self._bend(y, s)))",
-        "half = float(np.hypot(spread, self._bend(y, s)))",
-        "dropped term",
-    ),
-    (
-        "palpate.calibration.leakage",
-        "_alike",
-        "alike: np.ndarray = (typical <= limit) & (largest <= _PEAK_FACTOR * limit)",
-        "alike: np.ndarray = typical <= limit",
-        "dropped term",
-    ),
-    (
-        "palpate.mechanics.layers.contact_solver",
-        "_turned",
-        "return c * x + s * y, c * y - s * x",
-        "return c * x - s * y, c * y + s * x",
-        "sign",
-    ),
-    (
-        "palpate.mechanics.layers.layer_stress",
-        "mean_transfer",
-        "made.append((trace / 2 + R[0, 1, 1], -(R[0, 0, 0] + r[0]) / 2))",
-        "made.append((trace / 2 + R[0, 1, 1], 0.0 * R[0, 0, 0]))",
-        "dropped term",
-    ),
-    (
-        "palpate.optics.polariscope",
-        "mueller",
-        "pauli = np.array([np.eye(2), np.diag([1, -1]), [[0, 1], [1, 0]], [[0, -1j], [1j, 0]]])",
-        "pauli = np.array([np.eye(2), np.diag([1, -1]), [[0, 1], [1, 0]], [[0, 1j], [-1j, 0]]])",
-        "sign",
-    ),
-)
 
 _COMPARISONS = {
     ast.Lt: (ast.Gt, ast.LtE),
@@ -358,19 +184,19 @@ def _with(tree: ast.Module, node: ast.AST, other: ast.AST) -> str:
 
 
 def draw(seed: int) -> list[Mutant]:
-    """The mutants found by hand and, area by area, as many drawn: kinds in turn, modules evenly."""
+    """A list like the frozen one: those found by hand, and as many drawn of every area.
+
+    Kinds are drawn in turn and modules evenly, from the modules that the list has of an area and with all
+    tests that it names as theirs.
+    """
     rng = random.Random(seed)  # noqa: S311
-    nearest = {module: tests for _, modules in AREAS.values() for module, tests in modules.items()}
-    area_of = {module: area for area, (_, modules) in AREAS.items() for module in modules}
-    drawn = [
-        Mutant("", area_of[module], module, function, line, 0, mutated, kind, nearest[module])
-        for module, function, line, mutated, kind in NAMED
-    ]
-    drawn = [replace(mutant, id=f"n{i}") for i, mutant in enumerate(drawn)]
+    listed = frozen()
+    drawn = [mutant for mutant in listed if mutant.id.startswith("n")]
     taken = {(mutant.module, mutant.function, mutant.line) for mutant in drawn}
-    for area, (count, modules) in AREAS.items():
-        candidates = {module: _candidates(module, area) for module in modules}
-        times = Counter(dict.fromkeys(modules, 0))
+    for area, count in Counter(mutant.area for mutant in listed if mutant not in drawn).items():
+        modules = {mutant.module for mutant in listed if mutant.area == area}
+        candidates = {module: _candidates(module, area) for module in sorted(modules)}
+        times = Counter(dict.fromkeys(candidates, 0))
         for i in range(count):
             kind = KINDS[i % len(KINDS)]
             usable = {
@@ -381,6 +207,7 @@ def draw(seed: int) -> list[Mutant]:
             mutant = rng.choice(usable[module])
             times[module] += 1
             taken.add((mutant.module, mutant.function, mutant.line))
-            number = len(drawn) - len(NAMED)
-            drawn.append(replace(mutant, id=f"m{number:02d}", tests=nearest[module]))
+            tests = dict.fromkeys(test for one in listed if one.module == module for test in one.tests)
+            number = sum(one.id.startswith("m") for one in drawn)
+            drawn.append(replace(mutant, id=f"m{number:02d}", tests=tuple(tests)))
     return drawn

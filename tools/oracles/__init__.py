@@ -6,7 +6,7 @@ lie apart. A measurement returns a table for the page that asks for it by name.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,7 +40,7 @@ def each_relative(found: ndarray | float, wanted: ndarray | float) -> float:
     return float(np.max(np.abs(np.asarray(found) / wanted - 1)))
 
 
-def table(head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
-    """Markdown."""
-    lines = [head, ("---",) * len(head), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+def table(head: str, rows: Iterable[str]) -> str:
+    """Markdown, from lines of cells with ` | ` between them."""
+    rule = " | ".join("---" for _ in head.split(" | "))
+    return "\n".join(f"| {line} |" for line in (head, rule, *rows))

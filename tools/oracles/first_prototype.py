@@ -14,11 +14,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from palpate.core import Contact, Float, InputError, ndarray
+from palpate.core import Contact, Float, ndarray
 from palpate.sensors.palm import fringe_view
 from palpate.sensors.palm.fringe_orders import WAVELENGTH_M, edge_on
 from palpate.sensors.palm.palm_press import field_at
-from palpate.sensors.palm.palm_render import is_ball, lamp, render_clean
+from palpate.sensors.palm.palm_render import lamp, render_clean
 from palpate.sensors.palm.palm_spec import PalmSpec
 
 POLARISED = 0.4
@@ -62,13 +62,12 @@ class FromBelow:
 
 
 def from_below(contact: Contact, spec: PalmSpec, pixels: int = 300) -> FromBelow:
-    """The prototype's picture of a ball's contact, without noise.
+    """The prototype's picture of a contact of the palm's ball, pressed straight down, without noise.
 
     Args:
         spec: the palm; its views and mirror play no part.
         pixels: along each side of the picture.
     """
-    _check_round(contact, spec)
     axis = (np.arange(pixels) + 0.5 - pixels / 2) * spec.diameter_m / pixels
     x, y = np.meshgrid(axis - contact.pose.x_m, axis - contact.pose.y_m)
     radius, summed = through_thickness(spec, contact.pose.depth_m)
@@ -110,7 +109,6 @@ def quality_below(contact: Contact, spec: PalmSpec) -> Quality:
 
 def quality_edge_on(contact: Contact, spec: PalmSpec) -> Quality:
     """Quality of the folded path's picture."""
-    _check_round(contact, spec)
     light, _ = render_clean(contact, spec)
     depth = contact.pose.depth_m
     orders = edge_on(spec, depth)
@@ -122,16 +120,6 @@ def quality_edge_on(contact: Contact, spec: PalmSpec) -> Quality:
     slope = np.hypot(*np.gradient(orders.order, orders.depth_m * 1e3, orders.offset_m * 1e3))
     steepest = float(np.quantile(slope, 0.999))  # a table's sharpest corner is not a fringe
     return Quality(orders.greatest, steepest, _contrast(grey.ravel()), float(lit.min() / lit.max()))
-
-
-def _check_round(contact: Contact, spec: PalmSpec) -> None:
-    if not is_ball(contact, spec):
-        raise InputError(
-            f"a {contact.probe.shape} of radius {contact.probe.radius_m * 1e3:g} mm with a lateral load of "
-            f"{contact.lateral_n} N; the prototype is drawn for the palm's own ball of radius "
-            f"{spec.indenter_radius_m * 1e3:g} mm, pressed straight down",
-            code="other-ball",
-        )
 
 
 def _contrast(grey: Float[ndarray, " n"]) -> float:

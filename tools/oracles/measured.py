@@ -24,24 +24,11 @@ def presses() -> str:
         found = palm.contact_summary(palm.press(spec, Pose(0.0, 0.0, depth_mm * 1e-3)), spec)
         hertz = scale * (depth_mm * 1e-3) ** 1.5
         rows.append(
-            (
-                f"{depth_mm}",
-                f"{found['force_N']:.2f}",
-                f"{found['contact_radius_mm']:.2f}",
-                f"{found['peak_pressure_Pa'] / 1e3:.0f}",
-                f"{found['fringe_order_max']:.2f}",
-                f"{hertz:.2f}",
-            )
+            f"{depth_mm} | {found['force_N']:.2f} | {found['contact_radius_mm']:.2f} | "
+            f"{found['peak_pressure_Pa'] / 1e3:.0f} | {found['fringe_order_max']:.2f} | {hertz:.2f}"
         )
-    head = (
-        "depth, mm",
-        "force, N",
-        "contact radius, mm",
-        "greatest pressure, kPa",
-        "greatest order, 550 nm",
-        "Hertz's force, N",
-    )
-    return table(head, rows)
+    head = "depth, mm | force, N | contact radius, mm | greatest pressure, kPa | greatest order, 550 nm"
+    return table(f"{head} | Hertz's force, N", rows)
 
 
 def spread() -> str:
@@ -76,18 +63,12 @@ def grid() -> str:
                 continue
             found = seen_at(x, y)
             if found is None:
-                rows.append((f"±{x}", f"{y}", "none", "", ""))
+                rows.append(f"±{x} | {y} | none |  | ")
                 continue
             column, share, turn = found
-            rows.append((f"±{x}", f"{y}", f"±{column:.1f}", f"{100 * share:.0f}", f"{2 * turn:.0f}"))
-    head = (
-        "x, mm",
-        "y, mm",
-        "seen in the column at, mm",
-        "light through both walls, %",
-        "lamp's angle it needs, degrees",
-    )
-    return table(head, rows)
+            rows.append(f"±{x} | {y} | ±{column:.1f} | {100 * share:.0f} | {2 * turn:.0f}")
+    head = "x, mm | y, mm | seen in the column at, mm | light through both walls, %"
+    return table(f"{head} | lamp's angle it needs, degrees", rows)
 
 
 def materials(force_n: float) -> str:
@@ -97,17 +78,12 @@ def materials(force_n: float) -> str:
         spec = palm.preset(name)
         contact = palm.press_to_force(spec, force_n)
         found = palm.contact_summary(contact, spec)
+        C = f"{spec.stress_optic.coefficient_per_pa:.1e}".replace("e-0", "e-")
         rows.append(
-            (
-                f"`{name}`",
-                f"{spec.youngs_modulus_pa / 1e6:g}",
-                f"{spec.stress_optic.coefficient_per_pa:.1e}".replace("e-0", "e-"),
-                f"{contact.pose.depth_m * 1e3:.3g}",
-                f"{found['contact_radius_mm']:.2f}",
-                f"{found['fringe_order_max']:.2f}",
-            )
+            f"`{name}` | {spec.youngs_modulus_pa / 1e6:g} | {C} | {contact.pose.depth_m * 1e3:.3g} | "
+            f"{found['contact_radius_mm']:.2f} | {found['fringe_order_max']:.2f}"
         )
-    head = ("preset", "E, MPa", "C, 1/Pa", "depth, mm", "contact radius, mm", "greatest order, 550 nm")
+    head = "preset | E, MPa | C, 1/Pa | depth, mm | contact radius, mm | greatest order, 550 nm"
     return table(head, rows)
 
 
@@ -116,25 +92,12 @@ def paths() -> str:
     spec, rows = palm.palm(), []
     for depth_mm in (1, 3, 5):
         contact = palm.press(spec, Pose(0.0, 0.0, depth_mm * 1e-3))
-        for name, law in (
-            ("from below", first_prototype.quality_below),
-            ("edge-on", first_prototype.quality_edge_on),
-        ):
-            q = law(contact, spec)
-            rows.append(
-                (
-                    f"{depth_mm}",
-                    name,
-                    f"{q.greatest_order:.2f}",
-                    f"{q.density_per_mm:.2f}",
-                    f"{q.contrast:.2f}",
-                    f"{q.uniformity:.2f}",
-                )
-            )
-    return table(
-        ("depth, mm", "seen", "greatest order", "orders per mm", "contrast", "darkest over brightest lamp"),
-        rows,
-    )
+        laws = {"from below": first_prototype.quality_below, "edge-on": first_prototype.quality_edge_on}
+        for name, law in laws.items():
+            numbers = " | ".join(f"{value:.2f}" for value in law(contact, spec))
+            rows.append(f"{depth_mm} | {name} | {numbers}")
+    head = "depth, mm | seen | greatest order | orders per mm | contrast | darkest over brightest lamp"
+    return table(head, rows)
 
 
 MEASURED: dict[str, Callable[[], str]] = {

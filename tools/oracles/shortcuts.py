@@ -75,25 +75,10 @@ def single_slices() -> str:
         spec = replace(palm.palm(), stress_optic=StressOpticLaw(C))
         for depth_mm in (1, 3, 5):
             whole, best, marched, path, _, _ = baseline(spec, depth_mm * 1e-3)
-            one, two = single_slice_error(whole, marched), single_slice_error(best, marched)
-            rows.append(
-                (
-                    f"{C:.1e}".replace("e-09", "e-9"),
-                    f"{depth_mm}",
-                    f"{one.rms:.2f}",
-                    f"{path * 1e3:.1f}",
-                    f"{two.rms:.2f}",
-                    f"{two.largest:.2f}",
-                )
-            )
-    head = (
-        "C, 1/Pa",
-        "depth, mm",
-        "rms, path 57 mm",
-        "best path, mm",
-        "rms, best path",
-        "largest, best path",
-    )
+            (one, _), (two, largest) = (single_slice_error(image, marched) for image in (whole, best))
+            of = f"{C:.1e}".replace("e-09", "e-9")
+            rows.append(f"{of} | {depth_mm} | {one:.2f} | {path * 1e3:.1f} | {two:.2f} | {largest:.2f}")
+    head = "C, 1/Pa | depth, mm | rms, path 57 mm | best path, mm | rms, best path | largest, best path"
     return table(head, rows)
 
 
@@ -104,30 +89,24 @@ def ways() -> str:
         contact = palm.press(SMALL, Pose(x * 1e-3, y * 1e-3, 3e-3))
         fast, exact = (palm.render_clean(contact, SMALL, exact=which)[0] for which in (False, True))
         off = np.abs(inside(fast - exact, SMALL, 3e-3))
-        rows.append((f"({x}, {y})", f"{np.sqrt(np.mean(off**2)):.3f}", f"{np.quantile(off, 0.999):.2f}"))
-    return table(("contact at (x, y), mm", "rms", "999th of 1000 pixels"), rows)
+        rows.append(f"({x}, {y}) | {np.sqrt(np.mean(off**2)):.3f} | {np.quantile(off, 0.999):.2f}")
+    return table("contact at (x, y), mm | rms | 999th of 1000 pixels", rows)
 
 
 def shortcuts() -> str:
     """What simpler ways cost, in the same units as the checks."""
     solved = SphereTable.load("sphere-h2-mu0").at(1.0).force
     hertz = 4 / 3 / (1 - 0.49**2)
-    rows = [
-        ("Hertz's force at 5 mm", f"{100 * (hertz / solved - 1):+.0f} %"),
-        (
-            "64 even slices over 57 mm under a point load, for graded ones",
-            f"light off by up to {even_slices():.2f}",
+    even, three, below = (f"{error():.2f}" for error in (even_slices, three_wavelengths, below_the_table))
+    rows = {
+        "Hertz's force at 5 mm": f"{100 * (hertz / solved - 1):+.0f} %",
+        "64 even slices over 57 mm under a point load, for graded ones": f"light off by up to {even}",
+        "One wavelength a channel for 31 bands, orders to 4": f"light off by up to {three}",
+        "Casting resin at 15 N, drawn out from the table's first depth, for Hertz's own field": (
+            f"light near the contact off by {below} rms"
         ),
-        (
-            "One wavelength a channel for 31 bands, orders to 4",
-            f"light off by up to {three_wavelengths():.2f}",
-        ),
-        (
-            "Casting resin at 15 N, drawn out from the table's first depth, for Hertz's own field",
-            f"light near the contact off by {below_the_table():.2f} rms",
-        ),
-    ]
-    return table(("shortcut", "error"), rows)
+    }
+    return table("shortcut | error", map(" | ".join, rows.items()))
 
 
 def below_the_table() -> float:
@@ -152,19 +131,19 @@ def assumptions() -> str:
     asides = json.loads(STUDY.read_text(encoding="utf-8"))["asides"]
     held = {(row["what"], row["depth"]): row["force"] for row in asides}
     depths = (0.2, 0.6, 1.0)
-    rows = [
-        (what, *(f"{100 * (held[name, d] / held['as the tables, coarse', d] - 1):+.1f} %" for d in depths))
-        for what, name in (
-            ("Friction 0.5 for none", "friction 0.5"),
-            ("Poisson's ratio 0.495 for 0.49", "Poisson's ratio 0.495"),
-            ("Poisson's ratio 0.499 for 0.49", "Poisson's ratio 0.499"),
-            ("A membrane twice as wide", "disc twice as wide"),
-        )
-    ]
+    rows = []
+    for what, name in (
+        ("Friction 0.5 for none", "friction 0.5"),
+        ("Poisson's ratio 0.495 for 0.49", "Poisson's ratio 0.495"),
+        ("Poisson's ratio 0.499 for 0.49", "Poisson's ratio 0.499"),
+        ("A membrane twice as wide", "disc twice as wide"),
+    ):
+        changes = [held[name, d] / held["as the tables, coarse", d] for d in depths]
+        rows.append(" | ".join([what, *(f"{100 * (ratio - 1):+.1f} %" for ratio in changes)]))
     thick, thin = (SphereTable.load(f"sphere-h{h}-mu0") for h in (4, 2))
-    changes = (f"{100 * (thick.at(d).force / thin.at(d).force - 1):+.1f} %" for d in depths)
-    rows.append(("A membrane twice as thick", *changes))
-    return table(("other than assumed", "force at 1 mm", "3 mm", "5 mm"), rows)
+    changes = [thick.at(d).force / thin.at(d).force for d in depths]
+    rows.append(" | ".join(["A membrane twice as thick", *(f"{100 * (r - 1):+.1f} %" for r in changes)]))
+    return table("other than assumed | force at 1 mm | 3 mm | 5 mm", rows)
 
 
 def off_centre() -> str:
@@ -176,14 +155,7 @@ def off_centre() -> str:
     for mm, places in sorted(away.items())[1:]:
         offset = min(mm * 1e-3 / R, FARTHEST)
         found = [edge_correction(offset, depth_mm * 1e-3 / R, h / R) for depth_mm in (1, 3, 5)]
-        errors = (f"{100 * (1 / effect.force_ratio - 1):+.1f} %" for effect in found)
-        rows.append((f"{mm:.1f}", f"{places}", *errors, f"{found[-1].side_ratio * pushed:.2f}"))
-    head = (
-        "from the axis, mm",
-        "places",
-        "force too high by, 1 mm deep",
-        "3 mm",
-        "5 mm",
-        "push outwards left out at 5 mm, N",
-    )
-    return table(head, rows)
+        errors = " | ".join(f"{100 * (1 / effect.force_ratio - 1):+.1f} %" for effect in found)
+        rows.append(f"{mm:.1f} | {places} | {errors} | {found[-1].side_ratio * pushed:.2f}")
+    head = "from the axis, mm | places | force too high by, 1 mm deep | 3 mm | 5 mm"
+    return table(f"{head} | push outwards left out at 5 mm, N", rows)

@@ -8,24 +8,13 @@ renders with it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from palpate.core import Float, InputError, RangeError, ndarray
+from palpate.core import Float, ndarray
 from palpate.optics.polariscope import single_retarder
 from palpate.optics.stress_optic import fringe_order, stress_axis
 
 Stress = Float[ndarray, "*n"]
-
-
-@dataclass(frozen=True, slots=True)
-class SingleSliceError:
-    """Error of the one-slice image against the marched one, in transmitted fraction (0 to 1)."""
-
-    rms: float
-    percentile_99_9: float
-    largest: float
 
 
 def single_slice(
@@ -43,13 +32,6 @@ def single_slice(
         path_m: d, the path that is assumed [m]; the skin's width is what is usually taken.
         polariser_rad: from x towards z [rad].
     """
-    for name, value, unit in (
-        ("path", path_m, "m"),
-        ("coefficient", coefficient_per_pa, "1/Pa"),
-        ("wavelength", wavelength_m, "m"),
-    ):
-        if not (value > 0 and np.isfinite(value)):
-            raise RangeError(f"{name} {value} {unit} must be a positive number")
     order = fringe_order(difference_pa * path_m, shear_pa * path_m, coefficient_per_pa, wavelength_m)
     return single_retarder(order, stress_axis(difference_pa, shear_pa), polariser_rad)
 
@@ -65,16 +47,10 @@ def best_path(
         summed_shear: int 2 s_xz dy [Pa m].
     """
     square = float(np.sum(difference_pa**2 + shear_pa**2))
-    if not square > 0:
-        raise InputError("the mid-plane is free of stress: no path fits")
     return float(np.sum(difference_pa * summed_difference + shear_pa * summed_shear)) / square
 
 
-def single_slice_error(baseline: Stress, marched: Stress) -> SingleSliceError:
-    """The baseline's error against the marched image of the same scene."""
-    if baseline.shape != marched.shape or baseline.size == 0:
-        raise InputError(f"images of shapes {baseline.shape} and {marched.shape}; give two equal ones")
+def single_slice_error(baseline: Stress, marched: Stress) -> tuple[float, float]:
+    """Root mean square and greatest error of the baseline, in transmitted fraction."""
     off = abs(np.asarray(baseline, float) - marched)
-    if not np.isfinite(off).all():
-        raise InputError("an image holds NaN or infinity")
-    return SingleSliceError(float(np.sqrt(np.mean(off**2))), float(np.quantile(off, 0.999)), float(off.max()))
+    return float(np.sqrt(np.mean(off**2))), float(off.max())

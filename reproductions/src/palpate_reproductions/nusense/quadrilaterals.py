@@ -4,7 +4,7 @@ Algorithm 1 of "NUSense: Shear Based Robust Optical Tactile Sensor" (section 3.3
 and algorithm differ, both are kept: contrast is equalised (the algorithm alone says so) and edges become a
 mask by a threshold (the text alone). What neither says is a field of `QuadSettings`. Its double loop pairs
 each contour with itself and each pair twice; pairs are taken once here, since a set of midpoints holds no
-more. `published_stages` is the plain form; `quad_midpoints` gives the same points faster.
+more.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.spatial import cKDTree
 
 from palpate.core import Float, ImageError, RangeError, Shaped, UInt8, ndarray
 
@@ -127,52 +126,6 @@ def midpoints_by_pairs(quads: list[np.ndarray], c_th_px: float) -> Points:
                 a, b = np.unravel_index(apart.argmin(), apart.shape)
                 found.append((quads[i][a] + quads[j][b]) / 2)
     return np.array(found, np.float64).reshape(-1, 2)
-
-
-def quad_midpoints(frame: Shaped[ndarray, ...], settings: QuadSettings | None = None) -> Points:
-    """Control points of Algorithm 1 ``[n 2]`` [px], equal to those of `published_stages`, in less time.
-
-    Args:
-        frame: 8-bit RGB ``[h w 3]`` or grey ``[h w]``.
-        settings: the numbers; the defaults if not given.
-    """
-    own = settings or QuadSettings()
-    cropped = _cropped(frame, own)
-    grey = cropped if cropped.ndim == 2 else cv2.cvtColor(cropped, cv2.COLOR_RGB2GRAY)
-    equalised = cv2.createCLAHE(own.clip_limit, own.tiles).apply(grey)
-    filtered = cv2.bilateralFilter(equalised, own.diameter_px, own.colour_sigma, own.space_sigma)
-    gx, gy = (cv2.Sobel(filtered, cv2.CV_32F, *order, ksize=3) for order in ((1, 0), (0, 1)))
-    mask = cv2.compare(cv2.magnitude(gx, gy), _between(own.edge_threshold), cv2.CMP_LE)
-    square = np.ones((own.structure_px,) * 2, np.uint8)
-    flat = cv2.dilate(cv2.erode(mask, square, iterations=own.dilations), square, iterations=own.erosions)
-    contours, _ = cv2.findContours(flat, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
-    shortest = 4 * np.sqrt(own.area[0]) * own.pitch_px / 2  # in pixels of an outline, for any of that area
-    light = cv2.boxFilter(filtered, -1, (int(3 * own.pitch_px) | 1,) * 2)
-    quads = []
-    for contour in contours:
-        if len(contour) < shortest:
-            continue
-        corners = cv2.approxPolyDP(contour, own.bend * cv2.arcLength(contour, True), True)
-        if len(corners) == 4 and _is_tile(corners, own) and _is_bright(corners, filtered, light):
-            quads.append(corners[:, 0])
-    if len(quads) < 2:
-        return np.empty((0, 2))
-    return midpoints_by_tree(np.array(quads, np.float64), own.c_th * own.pitch_px) + _origin(own)
-
-
-def midpoints_by_tree(quads: Quads, c_th_px: float) -> Points:
-    """Midpoints of the nearest corners of each two quadrilaterals, by a tree of their middles.
-
-    Args:
-        quads: corners ``[q 4 2]`` [px].
-        c_th_px: greatest distance of their middles [px].
-    """
-    pairs = cKDTree(quads.mean(axis=1)).query_pairs(c_th_px, output_type="ndarray")
-    pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
-    first, second = quads[pairs[:, 0]], quads[pairs[:, 1]]
-    apart = ((first[:, :, None] - second[:, None]) ** 2).sum(axis=3).reshape(len(pairs), 16)
-    nearest, rows = apart.argmin(axis=1), np.arange(len(pairs))
-    return (first[rows, nearest // 4] + second[rows, nearest % 4]) / 2
 
 
 def _cropped(frame: Shaped[ndarray, ...], own: QuadSettings) -> Shaped[ndarray, ...]:

@@ -150,7 +150,7 @@ class DiscTable:
     @classmethod
     @parser("disc table", InputError, max_bytes=MAX_ARRAY_BYTES)
     def open(cls: type[AnyTable], path: Path) -> AnyTable:
-        """Load an .npz file written by `tools/press_tables.py` or `tools/punch_tables.py`."""
+        """Load an .npz file written by `tools/disc_tables.py`."""
         with np.load(path, allow_pickle=False) as file:
             values: dict[str, Any] = {key: file[key] if file[key].ndim else float(file[key]) for key in file}
         return cls(**values)

@@ -8,7 +8,7 @@ Tables at finite strain of a rigid sphere pressed deep into a bonded elastomer d
 correction.
 
 Frictionless, or with one coefficient of Coulomb friction. Material, units, and interpolation are those of
-`disc_table`. Solved by `tools/press_tables.py`; mesh errors are in `tools/mesh_study.json`. Scalars are
+`disc_table`. Solved by `tools/disc_tables.py`; mesh errors are in `tools/mesh_study.json`. Scalars are
 interpolated as F / d^(3/2), a / d^(1/2), and p / d^(1/2), starting at Hertz's values; fields are stretched
 with the contact's edge. Near the free rim `edge_correction` holds the loss of force and the lateral push,
 from three-dimensional solutions by `tools/off_centre.py`.
@@ -16,7 +16,7 @@ from three-dimensional solutions by `tools/off_centre.py`.
 Tables at finite strain of a rigid upright punch with a rounded edge, pressed into a bonded disc.
 
 The punch has radius R and an edge radius of 0.1 R, without friction. Material, units, and interpolation are
-those of `disc_table`. Solved by `tools/punch_tables.py`; mesh errors are in `tools/punch_study.json`. Scalars
+those of `disc_table`. Solved by `tools/disc_tables.py`; mesh errors are in `tools/punch_study.json`. Scalars
 are interpolated as F / d, a, and p / d^(2/3). On the punch's upright side the top rises within one knot.
 """
 

@@ -8,7 +8,7 @@ E0) and the cube root of force.
 A tip with any modulus ratio of skin and gel between the shipped tables, on a rigid plate.
 
 Shapes, and logarithms of force and moduli, are polynomials of the log ratio through all tables at each depth.
-Solved by `tools/tip_tables.py --plate`. Interpolation errors: 2 um and 0.5 % of force for ratios from 14 to
+Solved by `tools/tip_tables.py`. Interpolation errors: 2 um and 0.5 % of force for ratios from 14 to
 45, 3 % at 3.5.
 
 Tables at finite strain of a hemispherical tip pressed along its axis on an inclined cylinder, without

@@ -1,1 +1,0 @@
-"""What the page on the virtual TacTip measures of the methods, beside the published experiment itself."""
