@@ -165,7 +165,8 @@ class Reading(MeasurementResult):
 
     def __str__(self) -> str:
         value, around = interval_text(self.value, self.low, self.high)
-        return f"{self.quantity} {value} {self.unit} {around} {self.unit}, {self.verdict}"
+        unit = self.unit.replace("_per_", "/")
+        return f"{self.quantity} {value} {unit} {around} {unit}, {self.verdict}"
 
 
 class Readings(Mapping[str, MeasurementResult]):

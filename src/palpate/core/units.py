@@ -154,7 +154,7 @@ MAX_LEAN = 0.01  # share of an interval's length by which its two sides differ a
 
 
 def interval_text(value: float, low: float, high: float) -> tuple[str, str]:
-    """A value, and its interval around it: ± where its two sides are alike, and else each side by itself.
+    """A value, and its interval around it: ± where its two sides are alike, else each side or both ends.
 
     All are written to the place of half the interval's length.
 
@@ -166,5 +166,5 @@ def interval_text(value: float, low: float, high: float) -> tuple[str, str]:
     if abs(above - below) <= MAX_LEAN * (above + below):
         return rounded(value, half), f"± {half_width_text(half)}"
     if not math.isfinite(half):
-        return rounded(value, half), "± –"
+        return rounded(value, half), f"({low:.3g} to {high:.3g})"
     return rounded(value, half), f"+{rounded(above, half)} −{rounded(below, half)}"
