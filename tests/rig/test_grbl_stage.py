@@ -13,9 +13,9 @@ from tests.refusals import refused
 
 from palpate.core.errors import DeviceError, InputError, MissingExtraError, PositionUnknownError, RangeError
 from palpate.rig.real import gcode_stage, serial_port
+from palpate.rig.real.gcode_spec import Mount, fixed
 from palpate.rig.real.grbl.grbl_stage import GrblStage
 from palpate.rig.real.grbl.grbl_supervisor import GrblSpec
-from palpate.rig.real.position_evidence import Mount, fixed
 
 # The default mount: x = X, y = -Y, z = -Z; the fake starts at machine -50, -50, -50 mm.
 START = (-0.050, 0.050, 0.050)

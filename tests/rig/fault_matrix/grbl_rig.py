@@ -25,9 +25,9 @@ from tests.rig.fault_matrix.observed_rig import LEVEL_M, NEAR_M, ObservedRig, St
 from palpate.core import NS_PER_S, Frame, Position
 from palpate.devices import Limits
 from palpate.rig.plans import StepHold
+from palpate.rig.real.gcode_spec import Mount
 from palpate.rig.real.grbl.grbl_stage import GrblStage
 from palpate.rig.real.grbl.grbl_supervisor import GrblSpec
-from palpate.rig.real.position_evidence import Mount
 
 LATENCY_S = 0.02  # of the fake, from a byte to its effect
 STATED_S = 0.05  # by the driver: from asking to the effect, on a machine with other work

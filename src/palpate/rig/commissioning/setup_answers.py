@@ -262,9 +262,9 @@ def find_grbl(port: str, axes: tuple[str, str, str], boot_s: float, baud: int, c
     Raises:
         DeviceError: no GRBL controller answers.
     """
+    from palpate.rig.real.gcode_spec import Mount
     from palpate.rig.real.grbl.grbl_stage import GrblStage
     from palpate.rig.real.grbl.grbl_supervisor import GrblSpec
-    from palpate.rig.real.position_evidence import Mount
 
     first: PalpateError | None = None
     for dtr in (False, True):

@@ -16,7 +16,8 @@ from contextlib import suppress
 from typing import Any, TypeVar
 
 from palpate.core import Clock, Closing, DeviceError, MonotonicClock, Position, RangeError, Travel
-from palpate.rig.real.position_evidence import MAX_APPROACH_M, check_range
+from palpate.rig.real.gcode_spec import check_range
+from palpate.rig.real.position_evidence import MAX_APPROACH_M
 from palpate.rig.real.serial_port import HeardTail, SerialPort, open_port
 
 KEPT = 512  # lines between a line and its answer; the longest list of settings has below 300

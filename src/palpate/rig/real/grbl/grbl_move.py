@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 from palpate.core import NS_PER_S, DeviceError
+from palpate.rig.real.gcode_spec import S_PER_MIN, Millimetres, distance_to_segment, shown
 from palpate.rig.real.grbl.grbl_parser import GrblState, GrblStatus
 from palpate.rig.real.grbl.grbl_supervisor import GrblMachine
-from palpate.rig.real.position_evidence import S_PER_MIN, Millimetres, distance_to_segment, shown
 
 _REPORTED_MM = 0.001  # resolution of a status report
 _UNDER_WAY = {GrblState.IDLE, GrblState.RUN, GrblState.JOG}

@@ -12,6 +12,7 @@ import re
 from contextlib import suppress
 
 from palpate.core import NS_PER_S, Clock, DeviceError, HardwareStopError
+from palpate.rig.real.gcode_spec import Millimetres, Mount, shown
 from palpate.rig.real.gcode_stage import CutOffError, PositionLostError, SilenceError
 from palpate.rig.real.grbl.grbl_link import CANCEL, HOLD, STOP, STOP_PINS, GrblLink, HeardStatus, RefusedError
 from palpate.rig.real.grbl.grbl_move import MoveSupervisor
@@ -25,14 +26,11 @@ from palpate.rig.real.grbl.grbl_supervisor import (
     read_machine,
 )
 from palpate.rig.real.position_evidence import (
-    Millimetres,
-    Mount,
     PositionEvidence,
     PositionFault,
     PositionStore,
     counted_by,
     new_marker,
-    shown,
     unknown,
 )
 from palpate.rig.real.serial_port import SerialPort

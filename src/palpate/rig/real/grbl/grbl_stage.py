@@ -13,13 +13,14 @@ import math
 from dataclasses import replace
 
 from palpate.core import NS_PER_S, Clock, DeviceError, Position, PositionUnknownError, RangeError, Travel
+from palpate.rig.real.gcode_spec import MM_PER_M, S_PER_MIN, feed_mm_min, fixed
 from palpate.rig.real.gcode_stage import CutOffError, GcodeStage, SilenceError
 from palpate.rig.real.grbl.grbl_link import GrblLink, RefusedError
 from palpate.rig.real.grbl.grbl_move import MoveSupervisor
 from palpate.rig.real.grbl.grbl_parser import GrblState, GrblStatus, alarm_name
 from palpate.rig.real.grbl.grbl_session import GrblSession, stands
 from palpate.rig.real.grbl.grbl_supervisor import GrblMachine, GrblSpec
-from palpate.rig.real.position_evidence import MM_PER_M, S_PER_MIN, WHY, PositionFault, feed_mm_min, fixed
+from palpate.rig.real.position_evidence import WHY, PositionFault
 from palpate.rig.real.serial_port import SerialPort
 
 MAX_HOMING_MM_MIN = 600.0  # at which the force stops it within a millimeter

@@ -9,9 +9,9 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from palpate.core import DeviceError, InputError, RangeError
+from palpate.rig.real.gcode_spec import MM_PER_M, S_PER_MIN, GcodeSpec, Millimetres, Mount
 from palpate.rig.real.grbl.grbl_link import GrblLink, RefusedError
 from palpate.rig.real.grbl.grbl_parser import GrblMessage, Setting
-from palpate.rig.real.position_evidence import MM_PER_M, S_PER_MIN, GcodeSpec, Millimetres, Mount
 
 _REPORT_MACHINE, _REPORT_PINS = (
     1,

@@ -28,22 +28,24 @@ from palpate.core import (
     RangeError,
     Travel,
 )
+from palpate.rig.real.gcode_spec import (
+    MM_PER_M,
+    GcodeSpec,
+    Mount,
+    distance_to_segment,
+    feed_mm_min,
+    fixed,
+    shown,
+)
 from palpate.rig.real.gcode_stage import CutOffError, GcodeStage, SilenceError
 from palpate.rig.real.marlin.marlin_link import Line, MarlinLink, MarlinMachine, Said, StepReport, Triple
 from palpate.rig.real.position_evidence import (
-    MM_PER_M,
     WHY,
-    GcodeSpec,
-    Mount,
     PositionEvidence,
     PositionFault,
     PositionStore,
     counted_by,
-    distance_to_segment,
-    feed_mm_min,
-    fixed,
     new_marker,
-    shown,
     unknown,
 )
 from palpate.rig.real.serial_port import SerialPort

@@ -29,7 +29,7 @@ from palpate.core import (
 )
 from palpate.core.optional_imports import require
 from palpate.rig.real.device_hold import arm_named, hold_device
-from palpate.rig.real.position_evidence import check_range, distance_to_segment
+from palpate.rig.real.gcode_spec import check_range, distance_to_segment
 from palpate.rig.real.ur_arm.arm_spec import UrArmSpec
 from palpate.rig.real.ur_arm.arm_status import ArmStatus, ArmWatch, ReceiveInterface, ask
 
