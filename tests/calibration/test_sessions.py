@@ -28,7 +28,7 @@ from palpate.calibration.sessions.interval_reset import (
     parametric_quantile,
     radius_set_anew,
 )
-from palpate.cli.calibrate.calibrate_verbs import _reset_text
+from palpate.cli.calibrate.calibrate_verbs import _card_text
 from palpate.core import CertificateError, ExistsError, InputError, SplitError
 from palpate.core.files import sha256_of
 from palpate.estimators import Estimator, read_card
@@ -336,7 +336,7 @@ def test_rows_of_a_new_session_set_the_intervals_anew_and_the_network_stays(
             np.mean(before[1] - before[0], axis=0)[j] / 2
         )
         ratio = target.score.half_width / card.interval_reset.former_half_widths[name]
-        assert f"{ratio:.2f} times" in _reset_text(card, tmp_path / "anew", "report.html")
+        assert f"{ratio:.2f} times" in _card_text(card, tmp_path / "anew")
     assert evaluate(Estimator.open(tmp_path / "anew"), few)["learnt_from_this_run"]
     # The lamp has changed: the former intervals fail, the new ones are wider and hold.
     spread = intervals_of(card).quantile / intervals_of(former).quantile

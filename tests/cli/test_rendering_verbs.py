@@ -84,7 +84,7 @@ def test_a_fault_of_a_device_ends_it_with_its_name_and_an_error(line: Path, tmp_
     ended = kept_up("its wire is off", *words)
     assert ended.exit_code == 2
     assert "its wire is off" in ended.stderr
-    assert re.search(r"simulated +no\n", ended.stdout)
+    assert re.search(r"simulated: no\n", ended.stdout)
 
 
 @pytest.mark.parametrize(

@@ -37,7 +37,7 @@ def reading(quantity: str, value: float, low: float, high: float, why: str = "")
 
 
 def touch(value: float, low: float, high: float, why: str = "", area: bool = True) -> PressReading:
-    course = AreaCourse(FORCE, 1e-4 * FORCE[:, None] * [1.0, 0.9, 1.1], np.full(12, np.nan))
+    course = AreaCourse(FORCE, 1e-4 * FORCE[:, None] * [1.0, 0.9, 1.1])
     one = reading("stiffness", value, low, high, why)
     return PressReading(
         one, replace(one, quantity="stiffness_both_cues"), None, None, None, None, course if area else None

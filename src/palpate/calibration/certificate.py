@@ -508,9 +508,11 @@ def load_record(kind: type[Kept], path: Path, what: str, maker: str) -> Kept:
     Args:
         what, maker: kind of calibration, and the command that makes one, for the message.
     """
+    made_by = ""
     try:
         with storage_errors(path):
             data = read_arrays(path)
+        made_by = f" of palpate {version}" if (version := data.get("version")) is not None else ""
         if (layout := int(data.pop("format"))) != FLAT_FORMAT:
             raise CertificateError(
                 f"{path} has format {layout}, and palpate {__version__} reads format {FLAT_FORMAT}: open it "
@@ -519,7 +521,8 @@ def load_record(kind: type[Kept], path: Path, what: str, maker: str) -> Kept:
         record = from_flat_arrays(kind, data)
     except (KeyError, ValueError, TypeError, BadZipFile, EOFError) as e:
         raise CertificateError(
-            f"{path} is no calibration of {what}, or a damaged one; `{maker}` makes them"
+            f"{path} is no calibration of {what} that palpate {__version__} reads, but damaged or of another "
+            f"version{made_by}: open it with that one, or calibrate anew by `{maker}`"
         ) from e
     assert isinstance(record, kind)
     return record

@@ -178,8 +178,8 @@ ROUNDING = 1e-9  # tolerance at an interval's ends, relative to its length
 
 
 def within(
-    true: Shaped[np.ndarray, " n"], low: Shaped[np.ndarray, " n"], high: Shaped[np.ndarray, " n"]
-) -> Bool[np.ndarray, " n"]:
+    true: Shaped[np.ndarray, " *n"], low: Shaped[np.ndarray, " *n"], high: Shaped[np.ndarray, " *n"]
+) -> Bool[np.ndarray, " *n"]:
     """Return whether truths lie in their intervals, except for rounding."""
     slack = ROUNDING * (high - low)
     return np.asarray((low - slack <= true) & (true <= high + slack))
