@@ -20,6 +20,7 @@ from palpate.psychophysics.experiments import (
 )
 from palpate.psychophysics.experiments.experiment_file import EXPERIMENT
 from palpate.psychophysics.experiments.trial_schedule import (
+    Course,
     allocation,
     order_of_conditions,
     tracks_of,
@@ -41,13 +42,12 @@ def threshold(tmp_path_factory) -> ExperimentDesign:
 def answered(schedule: Schedule, answer) -> list[Judgement]:
     """All judgements of a participant who answers by a rule."""
     judgements: list[Judgement] = []
-    while (one := schedule.next(judgements)) is not None:
-        judgements.append(
-            Judgement(
-                "P01", one.condition, one.presentation, one.task, one.block, one.trial, one.presented,
-                answer(one.presented, one.task),
-            )
-        )  # fmt: skip
+    course = Course(schedule)
+    while (one := course.next) is not None:
+        given = answer(one.presented, one.task)
+        place = one.condition, one.presentation, one.task, one.block, one.trial
+        judgements.append(Judgement("P01", *place, one.presented, given))
+        course.take(judgements[-1])
     return judgements
 
 

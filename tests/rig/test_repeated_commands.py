@@ -155,7 +155,7 @@ def test_a_repeated_command_presses_no_harder_than_the_first(
         made.clock.sleep(0.01)
     stage = fault(made.stage)
     deepest_mm = []
-    for k in range(8):
+    for k in range(5):
         if stage.lost:  # its position is not taken from the last session
             break
         stage.deepest_m = -math.inf

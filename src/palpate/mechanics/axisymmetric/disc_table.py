@@ -126,9 +126,12 @@ class DiscTable:
         )
 
     @classmethod
-    def holds(cls, ratio: float, friction: float, poisson_ratio: float) -> bool:
-        """Whether `of_disc` has a table."""
-        return bool(_solved_near(cls, ratio, friction, poisson_ratio))
+    def holds(
+        cls, ratio: float, friction: float, poisson_ratio: float, disc_radius: float = math.inf
+    ) -> bool:
+        """Whether `of_disc` has a table, of a disc that is no wider than `disc_radius` [R]."""
+        near = _solved_near(cls, ratio, friction, poisson_ratio)
+        return bool(near) and near[0].disc_radius <= disc_radius * (1 + SAME)
 
     @property
     def greatest_depth(self) -> float:

@@ -72,28 +72,24 @@ def _proportions(spec: PalmSpec, probe: Probe) -> Proportions:
 @lru_cache(maxsize=32)
 def _table(
     shape: str, thickness: float, disc_radius: float, poisson_ratio: float, friction: float
-) -> DiscTable | None:
-    if not TABLES[shape].holds(thickness, friction, poisson_ratio):
-        return None
-    table = TABLES[shape].of_disc(thickness, friction, poisson_ratio)
-    return table if table.disc_radius <= disc_radius * (1 + SAME) else None
-
-
-def _table_of(spec: PalmSpec, probe: Probe) -> DiscTable | None:
-    tabled = probe == own_ball(spec) or (probe.shape == "punch" and not probe.tilt_rad)
-    return _table(*_proportions(spec, probe)) if tabled else None
+) -> DiscTable:
+    return TABLES[shape].of_disc(thickness, friction, poisson_ratio)
 
 
 def has_table(spec: PalmSpec, probe: Probe | None = None) -> bool:
     """Return whether a table exists for the spec's membrane under its ball (default) or an upright punch."""
-    return _table_of(spec, own_ball(spec) if probe is None else probe) is not None
+    probe = own_ball(spec) if probe is None else probe
+    if probe != own_ball(spec) and (probe.shape != "punch" or probe.tilt_rad):
+        return False
+    shape, thickness, disc_radius, poisson_ratio, friction = _proportions(spec, probe)
+    return TABLES[shape].holds(thickness, friction, poisson_ratio, disc_radius)
 
 
 def table_of(spec: PalmSpec, probe: Probe | None = None) -> DiscTable:
     """Return the shipped table with the spec's proportions, of its ball (default) or of an upright punch."""
     probe = own_ball(spec) if probe is None else probe
-    if (table := _table_of(spec, probe)) is not None:
-        return table
+    if has_table(spec, probe):
+        return _table(*_proportions(spec, probe))
     R, kind = probe.radius_m, TABLES.get(probe.shape, PunchTable)
     known = "; ".join(
         f"{t.thickness * R * 1e3:g} mm thick, {2 * t.disc_radius * R * 1e3:g} mm wide or more, "
