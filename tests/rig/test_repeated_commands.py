@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from tests.rig.rigs import IDEAL, plan, rig
 
-from palpate.core import PalpateError, Position, Stage
+from palpate.core import PalpateError, Position, Stage, Wrench
 from palpate.rig import record
 from palpate.rig.commissioning.first_touch import _go_above
 from palpate.rig.commissioning.hand_motion import jog, lift_clear
@@ -141,6 +141,7 @@ def led_aside(made: Rig, folder: Path) -> None:
         (Exchanged, led_aside),
         (Exchanged, jogged("x", 3.0)),
         (Slack, jogged("z", 3.0)),
+        (Weak, checked),
         (Weak, jogged("z", 3.0)),
         (Weak, jogged("x", 3.0)),
     ],
@@ -150,9 +151,7 @@ def test_a_repeated_command_presses_no_harder_than_the_first(
     tmp_path: Path, fault: type[FaultyStage], command: Callable[[Rig, Path], None]
 ) -> None:
     made = rig(variation=IDEAL)
-    made.stage.move_to((0.0, 0.0, START_MM * MM), 5 * MM)
-    while made.stage.moving():
-        made.clock.sleep(0.01)
+    placed(made, START_MM)
     stage = fault(made.stage)
     deepest_mm = []
     for k in range(5):
@@ -165,3 +164,53 @@ def test_a_repeated_command_presses_no_harder_than_the_first(
     assert max(deepest_mm) < 1.0
     assert max(deepest_mm) > 0.0, "the fault leads into the skin"
     assert max(deepest_mm[2:], default=0.0) < max(deepest_mm[:2]) + 0.15
+
+
+class ChangedSensor:
+    """A force sensor whose zero moves once the probe has been at `where`."""
+
+    def __init__(self, made: Rig, where: Callable[[Position], bool]) -> None:
+        self._rig, self._where, self._changed = made, where, False
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._rig.force, name)
+
+    def _felt(self, one: Wrench) -> Wrench:
+        self._changed = self._changed or self._where(self._rig.stage.position_m())
+        x, y, z = one.force_n
+        return replace(one, force_n=(x, y, z + 1.5)) if self._changed else one
+
+    def drain(self) -> list[Wrench]:
+        return [self._felt(one) for one in self._rig.force.drain()]
+
+    def latest(self) -> Wrench:
+        return self._felt(self._rig.force.latest())
+
+
+def test_a_jog_aside_that_a_wrong_force_ends_does_not_go_beyond_its_start(tmp_path: Path) -> None:
+    made = rig(variation=IDEAL)
+    start = placed(made, -0.5)
+    force = ChangedSensor(made, lambda at: at[0] > start[0] + 0.5 * MM)
+    with pytest.raises(PalpateError):
+        jogged("x", 3.0)(replace(made, force=force), tmp_path)
+    assert made.stage.position_m()[0] >= start[0] - 1e-6
+    assert made.stage.position_m()[2] <= start[2] + 1e-6
+
+
+@pytest.mark.parametrize("start_mm", [-0.02, -0.5])
+def test_a_lift_in_which_the_sensor_changes_ends_no_lower_than_it_began(
+    tmp_path: Path, start_mm: float
+) -> None:
+    made = rig(variation=IDEAL)
+    start = placed(made, start_mm)
+    force = ChangedSensor(made, lambda at: at[2] < start[2] - 0.65 * MM)
+    with pytest.raises(PalpateError):
+        jogged("z", -5.0)(replace(made, force=force), tmp_path)
+    assert made.stage.position_m()[2] < start[2]
+
+
+def placed(made: Rig, z_mm: float) -> Position:
+    made.stage.move_to((0.0, 0.0, z_mm * MM), 5 * MM)
+    while made.stage.moving():
+        made.clock.sleep(0.01)
+    return made.stage.position_m()

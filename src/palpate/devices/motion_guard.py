@@ -29,6 +29,7 @@ LATE_S = 4.0  # beyond the time that a move should take: a stage's answer can be
 LATE_FACTOR = 2.0
 LISTEN_S = 0.25  # at a stand, after a force that is not believed, to name what is wrong
 FELT = (Reason.FORCE_LIMIT, Reason.TOUCHED_EARLY)  # names of a rise that is believed
+FALLS = 0.25  # least share by which a force falls on the way back, of a linear fall
 RISE_N = 1.0  # by which force may rise while the probe moves away: friction, noise, a sign that is wrong
 
 LEAVING = (OperatorCommand.ESTOP,)
@@ -285,18 +286,22 @@ class MotionGuard:
 
     def _back_out(self, stopped: Tripped, began: Position, start: Force, speed_m_s: float) -> Tripped:
         """Go back to where a motion away began, as its repetition would press harder; the error to raise."""
-        now = self._last_force()
-        if now is None or self._rising_part(now) < self._rising_part(start) + RISE_N / 2:
+        now, ended = self._last_force(), self.position_m()
+        rose_n = 0.0 if now is None else self._rising_part(now) - self._rising_part(start)
+        if now is None or rose_n < RISE_N / 2:
             return stopped  # what pressed is gone
+        far_m = max(math.dist(began, ended), LEVEL_M)
 
-        def worse(sample: Wrench) -> None:
+        def stays(sample: Wrench) -> None:  # a sensor that has changed: the probe is safer where it is
+            back = math.dist(self._stage.position_m(), ended) / far_m
             force = self._bias.force(sample)
-            if not sample.fault and self._rises(now, force):
+            most_n = self._rising_part(now) - FALLS * rose_n * min(back, 1.0) + RISE_N / 2
+            if not sample.fault and self._rising_part(force) > most_n:
                 raise _DoubtError(self.monitor.rise(now, force, False))
 
         slow_m_s = min(speed_m_s, self._limits.fastest_m_s(self._stage.travel))
         try:
-            self._run(began, slow_m_s, _never, worse, LEAVING)
+            self._run(began, slow_m_s, _never, stays, LEAVING)
             told = "the probe went back to where that motion began"
         except Tripped as e:
             told = f"the probe did not go back: {e}"

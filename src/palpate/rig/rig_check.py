@@ -11,6 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from palpate.core import NS_PER_S, ForceSensor, FrameSource, PalpateError, Position, Wrench
+from palpate.devices import Mounting
 from palpate.devices.check import check_camera, check_force_sensor, check_stage
 from palpate.devices.check.interface_check import (
     CheckResult,
@@ -24,6 +25,7 @@ from palpate.devices.check.interface_check import (
 from palpate.devices.check.stage_motion import Box, UnsafeError
 from palpate.devices.supervisor.owning_process import FIFO, probe_realtime
 from palpate.rig.commissioning.hand_motion import move_watched
+from palpate.rig.mean_force import Hand
 from palpate.rig.plans.plan_files import plan_of_sensor
 from palpate.rig.plans.recording_plan import RecordingPlan
 from palpate.rig.preflight import notes_of
@@ -35,6 +37,7 @@ CLEAR_M = 2e-3  # between the box and the expected surface
 HALF_M = 2e-3  # of the box's sides
 SPEED_M_S = 5e-3
 PUSHED_N = 1.0  # change of force, any direction, that ends all motion: nothing is to be touched
+MORE_N = 0.2  # by which the force may rise on the way back
 LISTENED, BORNE = 30.0, 3.0  # periods of a labelling sensor: listened to, and its oldest sample
 SIGMAS = 5.0  # least contact threshold, in standard deviations of the force
 NOISE_TOLERANCE = 1.25  # measured over stated noise: sampling error of 400 samples, and drift meanwhile
@@ -205,7 +208,7 @@ def _stage(rig: Rig, clear_m: float, sensed: bool, time_scale: float) -> Part:
         time_scale=time_scale,
         close=False,
     )
-    told = _go_back(rig, at, speed, watch.most_n) if watch.most_n > PUSHED_N else ""
+    told = _go_back(rig, at, speed, watch) if watch.most_n > PUSHED_N else ""
     yield at_most(
         "touched-nothing",
         watch.most_n,
@@ -215,14 +218,20 @@ def _stage(rig: Rig, clear_m: float, sensed: bool, time_scale: float) -> Part:
     )
 
 
-def _go_back(rig: Rig, start: Position, speed_m_s: float, felt_n: float) -> str:
+def _go_back(rig: Rig, start: Position, speed_m_s: float, watch: _Untouched) -> str:
     """Return to where the check began, so that repeating it presses no harder; what came of it."""
-    force_n = rig.force.latest().force_n
+    hand = Hand(rig.stage, rig.force, Mounting(), rig.clock)
     try:
-        rose = move_watched(rig.stage, rig.force, rig.clock, start, speed_m_s, force_n, felt_n + PUSHED_N)
+        most_n = max(watch.most_n, math.dist(hand.felt().force_n, watch.air_n)) + MORE_N
+        rose = move_watched(rig.stage, rig.force, rig.clock, start, speed_m_s, watch.air_n, most_n)
+        left_n = math.dist(hand.felt().force_n, watch.air_n)
     except PalpateError as e:
+        hand.distrust_position()
         return f"the stage did not go back to where it began: {e}"
-    return f"the stage {'stopped on its way' if rose else 'went'} back to where it began"
+    if rose or left_n > PUSHED_N / 2:
+        hand.distrust_position()
+        return f"{left_n:.2f} N are left where it went back: lift the probe by hand, and look at the stage"
+    return "the stage went back to where it began"
 
 
 def _box(rig: Rig, highest_z: float) -> Box:
@@ -241,14 +250,15 @@ class _Untouched:
 
     def __init__(self, rig: Rig) -> None:
         self._rig = rig
-        self._air = np.mean([one.force_n for one in self._fresh(0.2)], axis=0)
+        x, y, z = np.mean([one.force_n for one in self._fresh(0.2)], axis=0).tolist()
+        self.air_n = x, y, z
         self.most_n = 0.0
 
     def __call__(self) -> None:
         for one in self._rig.force.drain():
             if one.fault:
                 raise UnsafeError(f"the force sensor says: {one.fault}")
-            self.most_n = max(self.most_n, math.dist(one.force_n, self._air))
+            self.most_n = max(self.most_n, math.dist(one.force_n, self.air_n))
         if self.most_n > PUSHED_N:
             raise UnsafeError(f"the force changed by {self.most_n:.2f} N in free air: it touches something")
         newest = self._rig.force.latest()

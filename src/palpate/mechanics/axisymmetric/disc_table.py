@@ -108,7 +108,7 @@ class DiscTable:
         """The shipped table of a disc (thickness over indenter radius `ratio`), or one interpolated from the
         nearest.
         """
-        near = _solved_near(cls, ratio, friction, poisson_ratio)
+        near = _solved_near(cls, ratio, friction, poisson_ratio)  # type: ignore[arg-type]
         if len(near) == 1:
             return near[0]
         if near:
@@ -130,7 +130,7 @@ class DiscTable:
         cls, ratio: float, friction: float, poisson_ratio: float, disc_radius: float = math.inf
     ) -> bool:
         """Whether `of_disc` has a table, of a disc that is no wider than `disc_radius` [R]."""
-        near = _solved_near(cls, ratio, friction, poisson_ratio)
+        near = _solved_near(cls, ratio, friction, poisson_ratio)  # type: ignore[arg-type]
         return bool(near) and near[0].disc_radius <= disc_radius * (1 + SAME)
 
     @property
@@ -237,6 +237,7 @@ def _loaded(kind: type[AnyTable], name: str) -> AnyTable:
         return kind.open(path)
 
 
+@lru_cache(maxsize=256)
 def _solved_near(kind: type[AnyTable], ratio: float, friction: float, poisson_ratio: float) -> list[AnyTable]:
     """The table of a disc, the three that it is interpolated from, or none."""
     tables = [kind.load(name) for name in kind.shipped()]

@@ -22,6 +22,8 @@ PERIODS = 3.0  # of the sensor, over which none is asked for either
 CLEAR_M = 0.1e-3  # of air left between the probe and the contact that ended a way
 FREE_STEP_M = 0.2e-3  # by which it goes on back, where backlash left it in contact
 MAX_BACKLASH_M = 3e-3
+LEVEL_M = 1e-6
+_CONTACT = (Reason.FORCE_LIMIT, Reason.FORCE_DEAD, Reason.TOUCHED_EARLY)
 _STANDS = (Reason.STAGE, Reason.STAGE_LATE, Reason.HARDWARE_STOP)  # where nothing more is to be moved
 
 
@@ -80,7 +82,7 @@ def feel_way(guard: MotionGuard, target: Position, speed_m_s: float, hand: Hand)
     """
     start, air = guard.position_m(), hand.felt_through(guard)
     way = FeltWay(air.noise_n, PERIODS * speed_m_s / hand.force.rate_hz)
-    peak_n = 0.0
+    peak_n = felt_at_m = 0.0
 
     def feel(samples: Sequence[Wrench]) -> None:
         nonlocal peak_n
@@ -88,7 +90,9 @@ def feel_way(guard: MotionGuard, target: Position, speed_m_s: float, hand: Hand)
         peak_n = max(good, default=peak_n)
 
     def look(at: Position, time_ns: int) -> None:
-        way.take(math.dist(start, at), peak_n)
+        nonlocal felt_at_m
+        way.take(felt_at_m, peak_n)  # the force came before this position was asked for
+        felt_at_m = math.dist(start, at)
 
     with guard.samples.subscribed(feel), guard.positions.subscribed(look):
         try:
@@ -96,17 +100,15 @@ def feel_way(guard: MotionGuard, target: Position, speed_m_s: float, hand: Hand)
             return
         except Tripped as e:
             stopped = e
-    if _stays(stopped) or not way.began_m < math.dist(start, guard.position_m()):
+    far_m = math.dist(start, guard.position_m())
+    if _stays(stopped) or (stopped.reason not in _CONTACT and way.began_m >= far_m):
         raise stopped
-    share = max(way.began_m - CLEAR_M, 0.0) / math.dist(start, target)
+    share = max(min(way.began_m, far_m) - CLEAR_M, 0.0) / math.dist(start, target)
     x, y, z = (a + share * (b - a) for a, b in zip(start, target, strict=True))
     ended = guard.position_m()
-    dx, dy, dz = (
-        FREE_STEP_M * (a - b) / math.dist(start, target) for a, b in zip(start, target, strict=True)
-    )
     try:
         guard.away((x, y, z), speed_m_s, judged=False)
-        _leave_contact(guard, (dx, dy, dz), speed_m_s, hand, air)
+        _leave_contact(guard, start, speed_m_s, hand, air)
     except Tripped as e:
         hand.distrust_position()
         told = f"{stopped}; the probe did not go back into the air: {e}"
@@ -121,19 +123,31 @@ def _stays(stopped: Tripped) -> bool:
     return stopped.reason in _STANDS and getattr(stopped.__cause__, "code", "") != "stop-ignored"
 
 
-def _leave_contact(guard: MotionGuard, step: Position, speed_m_s: float, hand: Hand, air: AirForce) -> None:
-    """Go on back in steps, also beyond the start, until the force is that of the air again.
+def _leave_contact(guard: MotionGuard, start: Position, speed_m_s: float, hand: Hand, air: AirForce) -> None:
+    """Go on back in steps until the force is that of the air again, as far as the start.
 
-    Where the stage has backlash, it moves before the probe does.
+    Where z has backlash, the stage moves before the probe does: from above, it goes up beyond the start.
     """
+    now = hand.felt_through(guard)
+    left_n = math.dist(now.force_n, air.force_n)
+    goes_up = math.dist(start[:2], guard.position_m()[:2]) < LEVEL_M
     for _ in range(round(MAX_BACKLASH_M / FREE_STEP_M)):
-        now = hand.felt_through(guard)
-        if math.dist(now.force_n, air.force_n) <= contact_n(now, air):
+        if left_n <= contact_n(now, air):
             return
-        x, y, z = (a + d for a, d in zip(guard.position_m(), step, strict=True))
+        at = guard.position_m()
+        share = min(FREE_STEP_M / max(math.dist(at, start), LEVEL_M), 1.0)
+        x, y, z = (a + share * (b - a) for a, b in zip(at, start, strict=True))
+        z = at[2] - FREE_STEP_M if goes_up else z
+        if math.dist(at, (x, y, z)) < LEVEL_M:
+            break
         guard.away((x, y, z), speed_m_s, judged=False)
-    raise Tripped(
-        Reason.FORCE_NOISE,
-        f"the force is not that of the air after {MAX_BACKLASH_M * 1e3:g} mm more: the stage does not move "
-        "the probe, or the force sensor drifts; look at the rig before anything else moves",
-    )
+        before_n, now = left_n, hand.felt_through(guard)
+        left_n = math.dist(now.force_n, air.force_n)
+        if left_n > before_n + contact_n(now, air):
+            break
+    if left_n > contact_n(now, air):
+        raise Tripped(
+            Reason.FORCE_NOISE,
+            f"the force is still {left_n:.2f} N from that of the air: the stage does not move the probe, or "
+            "the force sensor has changed; look at the rig before anything else moves",
+        )

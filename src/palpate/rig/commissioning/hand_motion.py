@@ -58,6 +58,7 @@ SEARCH_REACH_M = 5e-3  # greatest distance from the skin at which a touch-off be
 SEARCH_N = 0.3  # change of force that stops a step of a touch-off on its way
 TOUCH_OFF_LIFT_M = 2e-3  # height above the skin at which a touch-off ends
 AGREE_M = 0.3e-3  # difference of two searches for the skin
+FALLS = 0.25  # least share by which a force falls on the way back, of a linear fall
 MAX_CHANGE_N = 10.0  # change of force in a lift without limits of the rig
 
 
@@ -434,15 +435,27 @@ def retreat(
             _check_lift(hand.mounting.to_skin(one.force_n), from_n, rise_n + noise_n, most_n + noise_n)
 
     count = math.ceil(distance_m / HOP_M - 1e-6)
+    begun_m, done_m = _height(hand), lifted_m
     try:
         for _ in range(count):
-            lifted_m += distance_m / count
+            done_m += distance_m / count
             _shift(hand, -distance_m / count, speed_m_s, look)
     except Tripped as e:
         if e.reason is not Reason.FORCE_LIMIT:
             raise
-        told = _go_back(hand, lifted_m, start, began_in_air=most_n <= rise_n)
+        ended_m = _height(hand)
+        if begun_m is not None and ended_m is not None:  # otherwise the last hop counts as a whole one
+            done_m = lifted_m + begun_m - ended_m
+        told = _go_back(hand, done_m, start, began_in_air=most_n <= rise_n)
         raise Tripped(e.reason, f"{e}{told}", e.numbers) from e
+
+
+def _height(hand: Hand) -> float | None:
+    """Place along z [m]; None where it is not known."""
+    try:
+        return hand.stage.position_m()[2]
+    except DeviceError:
+        return None
 
 
 def _shift(hand: Hand, by_m: float, speed_m_s: float, look: Callable[[], None]) -> None:
@@ -459,23 +472,40 @@ def _shift(hand: Hand, by_m: float, speed_m_s: float, look: Callable[[], None]) 
 
 
 def _go_back(hand: Hand, lifted_m: float, start: AirForce, *, began_in_air: bool) -> str:
-    """Undo a lift that pressed, in steps, until the force is that of its start; what came of it."""
-    before = now = hand.felt()
+    """Undo a lift that pressed, in steps, while the force falls on the way; what came of it.
+
+    A sensor that fails during a lift changes the force as well: then the probe stays, higher than it was.
+    """
+    now = hand.felt()
     if not began_in_air and now.force_n[2] < start.force_n[2]:
         return ""  # it left a skin that was pressed
-    back_m, left_n = 0.0, math.inf
-    while math.dist(now.force_n, start.force_n) > contact_n(now, start) and back_m < lifted_m:
-        if math.dist(now.force_n, start.force_n) > left_n + contact_n(now, before):
-            hand.distrust_position()
-            return f"; the force did not fall on {back_m * 1e3:.2f} mm of the way back: look at the rig"
-        left_n = math.dist(now.force_n, start.force_n)
-        _shift(hand, SEARCH_STEP_M, SEARCH_SPEED_M_S, lambda: None)
-        back_m += SEARCH_STEP_M
-        now = hand.felt()
-    more_m = min(CLEAR_M, lifted_m - back_m)  # of air, or each repetition would begin a little deeper
-    if more_m > SAME_M:
-        _shift(hand, more_m, SEARCH_SPEED_M_S, lambda: None)
-    return f"; the probe went back by {(back_m + max(more_m, 0.0)) * 1e3:.2f} mm"
+    rose_n = left_n = math.dist(now.force_n, start.force_n)
+
+    def look() -> None:
+        for one in fresh_samples(hand.force):
+            if math.dist(hand.mounting.to_skin(one.force_n), start.force_n) > left_n + RISE_N:
+                raise Tripped(Reason.FORCE_LIMIT, f"the force rose by {RISE_N:g} N")
+
+    back_m, known = 0.0, _height(hand) is not None
+    told = ""
+    try:
+        while left_n > contact_n(now, start) and back_m < lifted_m - SAME_M and not told:
+            step_m = min(SEARCH_STEP_M, lifted_m - back_m)
+            _shift(hand, step_m, SEARCH_SPEED_M_S, look)
+            back_m, now = back_m + step_m, hand.felt()
+            left_n = math.dist(now.force_n, start.force_n)
+            if left_n > rose_n * (1.0 - FALLS * back_m / lifted_m) + contact_n(now, start):
+                told = "the force did not fall: look at the sensor and at z"
+        more_m = lifted_m - back_m if known else min(CLEAR_M, lifted_m - back_m)  # of air that it came by
+        if more_m > SAME_M and not told:
+            _shift(hand, more_m, SEARCH_SPEED_M_S, look)
+            back_m += more_m
+    except Tripped as e:
+        told = str(e)
+    if told:
+        hand.distrust_position()
+        return f"; after {back_m * 1e3:.2f} mm of the way back {told}"
+    return f"; the probe went back by {back_m * 1e3:.2f} mm"
 
 
 def hop_to(stage: Stage, clock: Clock, target: Position, speed_m_s: float) -> None:
