@@ -13,7 +13,7 @@ from tests.rig.rigs import IDEAL, plan, rig
 from palpate.core import PalpateError, Position, Stage, Wrench
 from palpate.rig import record
 from palpate.rig.commissioning.first_touch import _go_above
-from palpate.rig.commissioning.hand_motion import jog, lift_clear
+from palpate.rig.commissioning.hand_motion import jog, lift_clear, retreat
 from palpate.rig.mean_force import Hand
 from palpate.rig.plans import Listed
 from palpate.rig.rig import Rig
@@ -214,3 +214,19 @@ def placed(made: Rig, z_mm: float) -> Position:
     while made.stage.moving():
         made.clock.sleep(0.01)
     return made.stage.position_m()
+
+
+def test_an_interrupted_way_back_forgets_the_position(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = rig(variation=IDEAL)
+    placed(made, -0.1)
+    stage = Reversed(made.stage)
+
+    def interrupted(*given: object, **named: object) -> str:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("palpate.rig.commissioning.hand_motion.contact_n", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        retreat(Hand(stage, made.force, made.mounting, made.clock), 3 * MM, 2 * MM)
+    assert stage.lost

@@ -112,6 +112,9 @@ def feel_way(guard: MotionGuard, target: Position, speed_m_s: float, hand: Hand)
     except Tripped as e:
         hand.distrust_position()
         told = f"{stopped}; the probe did not go back into the air: {e}"
+    except BaseException:  # as Ctrl-C: it stands in contact
+        hand.distrust_position()
+        raise
     else:
         back_m = math.dist(ended, guard.position_m())
         told = f"{stopped}; the probe went back by {back_m * 1e3:.2f} mm"

@@ -502,6 +502,9 @@ def _go_back(hand: Hand, lifted_m: float, start: AirForce, *, began_in_air: bool
             back_m += more_m
     except Tripped as e:
         told = str(e)
+    except BaseException:  # as Ctrl-C: it stands pressed
+        hand.distrust_position()
+        raise
     if told:
         hand.distrust_position()
         return f"; after {back_m * 1e3:.2f} mm of the way back {told}"
